@@ -38,7 +38,7 @@ class ResidualSeries:
     tau
         Torque that the last model predicts [N·m or N], shape (nv, n).
     residuals
-        Measured torque less each model's, shape (m, nv, n).
+        Measured torque less each model's, as they are compared, shape (m, nv, n).
     valid
         False where the sign of the joint's friction is not known, shape (nv, n).
     segment_starts
@@ -115,12 +115,14 @@ def _chunk(models: Models, batch: Batch, log_start: float, dt: float, starts_seg
     motion = batch.motion
     stride = batch.low_pass.stride
     inner = slice(batch.before, len(motion.t) - batch.after)
-    torques = [motion.tau]
+    predicted = []
+    residuals = []
     valid = []
     for equation, theta in models:
-        torques.append(equation.torque(motion, theta))
+        measured_torque, predicted_torque = batch.filter(np.stack(equation.compared_torques(motion, theta)))
+        predicted.append(predicted_torque)
+        residuals.append(measured_torque - predicted_torque)
         valid.append(np.stack(equation.valid_samples(batch)))
-    measured, *predicted = batch.filter(np.stack(torques))
     return ResidualSeries(
         t=batch.t + log_start,
         dt=np.full(len(batch.t), dt),
@@ -128,7 +130,7 @@ def _chunk(models: Models, batch: Batch, log_start: float, dt: float, starts_seg
         v=motion.v[:, inner][:, ::stride],
         a=motion.a[:, inner][:, ::stride],
         tau=predicted[-1],
-        residuals=measured - np.stack(predicted),
+        residuals=np.stack(residuals),
         valid=np.logical_and.reduce(valid),
         segment_starts=(0,) if starts_segment else (),
     )

@@ -278,6 +278,13 @@ class LinearModel:
         -------
         Shape (..., nv, N) [N·m or N].
         """
+        tau = self._predicted_torque(motion, theta)
+        for effect in reversed(self.effects):
+            tau = effect.apply_sensor(tau, motion)
+        return tau
+
+    def _predicted_torque(self, motion: Motion, theta: Array) -> Array:
+        """True torque that the model predicts, shape (..., nv, N)."""
         rows = []
         for active, block in zip(self.active(), self.columns(motion), strict=True):
             rows.append(theta[..., active] @ block[:-1])
@@ -285,9 +292,32 @@ class LinearModel:
         fixed = self._fixed_torque(self.true_motion(motion))
         if fixed is not None:
             tau = tau + fixed
+        return np.asarray(tau)
+
+    def compared_torques(self, motion: Motion, theta: Array) -> tuple[Array, Array]:
+        """Measured torque and that which the model predicts, as they are compared, unfiltered.
+
+        Both are as the sensors give them, but where a motor saturates, as it reaches the joint.
+
+        Parameters
+        ----------
+        motion
+            N samples, as measured.
+        theta
+            Coefficients, shape (..., p).
+
+        Returns
+        -------
+        Shapes (nv, N) and (..., nv, N) [N·m or N].
+        """
+        measured = motion
+        predicted = self._predicted_torque(motion, theta)
         for effect in reversed(self.effects):
-            tau = effect.apply_sensor(tau, motion)
-        return tau
+            if effect.compares_true_torque:
+                measured = effect.correct_motion(measured)
+            else:
+                predicted = effect.apply_sensor(predicted, motion)
+        return measured.tau, predicted
 
     def mechanism(self, model: RobotModel, theta: Array) -> Mechanism:
         """Forward model of the equation.

@@ -139,6 +139,11 @@ class Effect(ABC):
         """Measured torque, from the true one; shape (..., nv, N)."""
         return tau
 
+    @property
+    def compares_true_torque(self) -> bool:
+        """True if errors are those of the true torque, since the motion does not tell what is measured."""
+        return False
+
     def fixed_torque(self, motion: Motion) -> Array | None:
         """Torque on the link side that has no coefficient, shape (nv, N)."""
         return None

@@ -15,6 +15,7 @@ from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 
+_MIN_SLOPE = 0.02  # of the true torque over the commanded one of a motor
 _LEVELS = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)  # of the peak torque, where it may begin to bend
 
 
@@ -25,12 +26,12 @@ class TorqueSaturation(TorqueSensorEffect):
 
     - bend ≥ 0: x = y + bend y²/2. The measured torque falls behind, as that of a strain gauge at the end of its range
       does; its slope is 1 at the level and half of that where y = 1 / bend.
-    - bend < 0: y = x − bend x²/2. The measured torque runs ahead, as that from the current of a motor whose iron
-      saturates does.
+    - bend < 0: x = (1 − exp(bend y)) / −bend. The measured torque runs ahead, as the commanded torque of a motor does
+      that saturates: the true torque never gets more than −1 / bend above the level, and a very negative bend is a
+      limit. Where x would rise by less than 2 % of y, it does so by 2 %.
 
-    So it is one to one over all torques, its slope has no jump, both directions are polynomials or square roots of
-    them, which noise and wrong values cannot drive to infinity, and bend = 0 is no saturation. The level is in N·m or
-    N, the bend in the inverse of that.
+    So it is one to one over all torques, its slope at the level has no jump, and bend = 0 is no saturation. The level
+    is in N·m or N, the bend in the inverse of that.
     """
 
     id = "torque_saturation"
@@ -71,16 +72,39 @@ class TorqueSaturation(TorqueSensorEffect):
 
     @override
     def to_measured(self, tau: Array) -> Array:
-        return self._bent(tau, -self.nonlinear_values["bend"])
+        level, bend = self.nonlinear_values["level"], self.nonlinear_values["bend"]
+        x = np.maximum(np.abs(tau) - level, 0.0)
+        y = _fallen_behind(x, bend) if bend >= 0 else _before_limiting(x, -bend)
+        return np.asarray(tau + np.sign(tau) * (y - x))
 
     @override
     def to_true(self, tau: Array) -> Array:
-        return self._bent(tau, self.nonlinear_values["bend"])
+        level, bend = self.nonlinear_values["level"], self.nonlinear_values["bend"]
+        y = np.maximum(np.abs(tau) - level, 0.0)
+        x = y + bend / 2 * y**2 if bend >= 0 else _limited(y, -bend)
+        return np.asarray(tau + np.sign(tau) * (x - y))
 
-    def _bent(self, tau: Array, bend: float) -> Array:
-        """Torque whose excess over the level is increased by bend/2 times its square, or the inverse of that map."""
-        above = np.maximum(np.abs(tau) - self.nonlinear_values["level"], 0.0)
-        bent = above + bend / 2 * above**2
-        if bend < 0:
-            bent = 2 * above / (1 + np.sqrt(1 - 2 * bend * above))  # (√(1 + 2bx) − 1) / b without cancellation
-        return np.asarray(tau + np.sign(tau) * (bent - above))
+    @property
+    @override
+    def compares_true_torque(self) -> bool:
+        """True for a motor that saturates: what is commanded beyond that moves nothing, and no motion tells it."""
+        return bool(self.nonlinear_values["bend"] < 0)
+
+
+def _fallen_behind(x: Array, bend: float) -> Array:
+    """Solution y of x = y + bend y²/2, without cancellation."""
+    return np.asarray(2 * x / (1 + np.sqrt(1 + 2 * bend * x)))
+
+
+def _limited(y: Array, b: float) -> Array:
+    """(1 − exp(−b y)) / b, continued with its least slope."""
+    last = -np.log(_MIN_SLOPE) / b
+    within = np.minimum(y, last)
+    return np.asarray(-np.expm1(-b * within) / b + _MIN_SLOPE * (y - within))
+
+
+def _before_limiting(x: Array, b: float) -> Array:
+    """Inverse of `_limited`."""
+    largest = (1 - _MIN_SLOPE) / b
+    within = np.minimum(x, largest)
+    return np.asarray(-np.log1p(-b * within) / b + (x - within) / _MIN_SLOPE)

@@ -131,6 +131,6 @@ def evaluate(
 
 def _predict(experiment: Experiment, batch: Batch, models: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
     """Measured torque and each model's, in the band, at every sample."""
-    torque = experiment.equation.torque(batch.motion, np.stack(list(models.values())))
-    filtered = batch.filter(torque)
-    return batch.filter(batch.motion.tau), dict(zip(models, filtered, strict=True))
+    thetas = np.stack(list(models.values()))
+    measured, predicted = experiment.equation.compared_torques(batch.motion, thetas)
+    return batch.filter(measured), dict(zip(models, batch.filter(predicted), strict=True))
