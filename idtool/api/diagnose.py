@@ -106,6 +106,7 @@ def diagnose(
     inertia: Literal["refit", "fixed"] | None = None,
     effects: Sequence[str] | None = None,
     most: int = 12,
+    budget: float | None = None,
     assume: Sequence[str | EffectAssumption] = (),
     against: Logs = (),
     simulation: bool = True,
@@ -132,6 +133,8 @@ def diagnose(
         Ids of the effects to search for; None: all.
     most
         Largest number of effects to add.
+    budget
+        Time for the search [s]; then what was found is reported. None: no limit.
     assume
         Effects to start with: ``"parallel_spring:hip"``, ``("parallel_spring", "hip")``, or ``"gravity_tilt"`` for one
         that has neither joint nor link.
@@ -163,6 +166,8 @@ def diagnose(
     report_progress = progress or ignore_progress
     if most < 1:
         raise ConfigError("--max-effects", f"{most} is too few; give 1 or more")
+    if budget is not None and not budget >= 0:
+        raise ConfigError("--budget", f"{budget:g} s is no time; give 0 or more")
     candidates = None if effects is None else parse_candidates(effects)
     assumptions = tuple(parse_assumption(text) for text in assume)
     options = changed_options(
@@ -171,6 +176,7 @@ def diagnose(
         inertia=inertia,
         effects=effects,
         most=most,
+        budget=budget,
         assume=assume,
         against=[str(_path(log)) for log in as_list(against)] or (),
         simulation=simulation,
@@ -181,7 +187,7 @@ def diagnose(
     simulated_logs = _paired(logs, against)
     experiment = load_experiment(model, logs, validate, holdout, report_progress)
     check_assumptions(assumptions, experiment.model)
-    search_options = Options(inertia, candidates, most, assumptions, simulation)
+    search_options = Options(inertia, candidates, most, assumptions, simulation, budget)
     comparison = None
     if simulated_logs:
         simulated = _simulator_experiment(model, simulated_logs, experiment, holdout)

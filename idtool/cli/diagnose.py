@@ -6,6 +6,7 @@ from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
     AgainstOption,
     AssumeOption,
+    BudgetOption,
     ConfigOption,
     EffectsOption,
     ExplainOption,
@@ -42,6 +43,7 @@ def diagnose_command(
     inertia: InertiaOption = None,
     effects: EffectsOption = None,
     max_effects: MaxEffectsOption = 12,
+    budget: BudgetOption = None,
     assume: AssumeOption = None,
     against: AgainstOption = None,
     report_only: ReportOnlyOption = False,
@@ -70,6 +72,7 @@ def diagnose_command(
             inertia=inertia,
             effects=effect_ids,
             most=max_effects,
+            budget=budget,
             assume=assume or (),
             against=against or (),
             simulation=not no_simulation,

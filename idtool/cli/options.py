@@ -121,6 +121,14 @@ InertiaOption = Annotated[
 ]
 EffectsOption = Annotated[str | None, typer.Option(help="Effects to search for, separated by commas; default: all.")]
 MaxEffectsOption = Annotated[int, typer.Option(min=1, help="Largest number of effects to add.")]
+BudgetOption = Annotated[
+    float | None,
+    typer.Option(
+        min=0,
+        help="Time for the search [s]; it then reports what was found. Ctrl-C does the same.",
+        show_default="none",
+    ),
+]
 AssumeOption = Annotated[
     list[str] | None,
     typer.Option(

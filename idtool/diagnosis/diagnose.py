@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,10 +18,19 @@ from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.localization import localize_residual, localize_unexplained
 from idtool.diagnosis.model_selection import MIN_SIGNIFICANCE, explained_share, fitted_record, is_reportable
 from idtool.diagnosis.noise_floor import NoiseFloor, estimate_noise_floor
-from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary, ResidualLocation, Verdict
+from idtool.diagnosis.records import (
+    Candidate,
+    Diagnosis,
+    DiagnosisStep,
+    ErrorSummary,
+    ProfilesByJoint,
+    ResidualLocation,
+    Verdict,
+)
 from idtool.diagnosis.residual_maps import residual_maps
 from idtool.diagnosis.residual_series import residual_series
 from idtool.diagnosis.screen import screen_probes
+from idtool.diagnosis.stages import Stages
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
 from idtool.diagnosis.words import distinguishing_experiment, fitted_along_sentence, step_sentence, with_doubts
@@ -33,6 +43,7 @@ from idtool.estimation.fit import Fit, fit
 _STRUCTURED_SHARE = 0.1  # of a joint's squared residual, explained by a generic function: it has structure
 _NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual does not matter
 _SLOW_POWER = 25.0  # ratio of the residual's power to the noise's at the motion's frequencies: it has structure
+_MAX_INCREASE = 1.0005  # ratio of the held-out errors of all joints together, with an effect and without it
 _MAX_FLOOR_RATIO = 1.3  # of the noise floor, up to which a residual is explained
 _NEAR_NOISE = 1.5  # times the noise, up to which a residual counts as noise
 
@@ -53,6 +64,8 @@ class Options:
         Effects to start with, each with its joint or link; None: where it explains most.
     simulate
         True to simulate the models too.
+    budget
+        Time after which the search stops with what it has found [s]; None: no limit.
     """
 
     inertia: str = "refit"
@@ -60,6 +73,7 @@ class Options:
     max_effects: int = 12
     assumed: tuple[tuple[str, str | None], ...] = ()
     simulate: bool = True
+    budget: float | None = None
 
 
 def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Diagnosis:
@@ -82,23 +96,33 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     started = time.perf_counter()
     experiment, delay, _ = with_delay(experiment, progress)
     experiment = replace(experiment, cache=BatchCache())
-    faults = find_data_faults(experiment, progress)
+    before_search = Stages(interrupted=False)
+    no_faults: tuple[Notice, ...] = ()
+    faults = before_search.run("the check of the data", partial(find_data_faults, experiment, progress), no_faults)
     if options.inertia == "fixed":
         experiment = with_fixed_inertia(experiment)
-    search = EffectSearch(experiment, options.effects, options.max_effects, progress)
+    search = EffectSearch(experiment, options.effects, options.max_effects, progress, options.budget)
     for effect, target in options.assumed:
         search.assume(effect, target)
     search.run()
 
-    first = fit(experiment, progress, options.simulate)
-    last = _fit_with_effects(search, first, options.simulate)
-    structure = _structure(search)
-    floor = _noise_floor(search, structure)
-    remaining = evaluate_errors(search.current.experiment, search.current.estimate.theta, False, progress)
-    steps = with_doubts(_steps(search, first, last, options.simulate), experiment.model)
-    steps += _unknown_steps(search, structure, floor, remaining, last)
-    floor_rms = _reported_floor(floor, remaining, errors_of_fit(last))
+    stages = Stages(interrupted=search.is_interrupted)
+    plain = fit(experiment, progress)
+    first = plain
+    if options.simulate:
+        first = stages.run("the simulation", lambda: fit(experiment, progress, simulate=True), plain)
+    simulate = first.simulation is not None
+    if not options.assumed:
+        _remove_harmful(search, first)
+    last = _fit_with_effects(search, first, simulate)
+    none = [Candidate(UNKNOWN, name, None, 0.0, 0.0, 0) for name in experiment.equation.joints]
+    structure = stages.run("the search for unknown effects", lambda: _structure(search), none)
+    remaining = stages.run("the error of all effects together", lambda: _remaining_errors(search), errors_of_fit(last))
+    floor = stages.run("the noise floor", lambda: _noise_floor(search, structure), _residual_as_floor(remaining))
+    steps = with_doubts(_steps(search, first, last, simulate, stages), experiment.model)
+    steps += _unknown_steps(search, structure, floor, remaining, last, stages)
     delay_notices = delay.notices if delay else ()
+    skipped = [*before_search.notices, *stages.notices]
     return Diagnosis(
         first=first,
         last=last,
@@ -107,13 +131,54 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         removed=tuple(search.removed),
         before=errors_of_fit(first),
         after=errors_of_fit(last),
-        floor=floor_rms,
+        floor=_reported_floor(floor, remaining, errors_of_fit(last)),
         verdict=_verdict(steps),
-        maps_before=residual_maps(first.experiment, first.estimate.theta, progress),
-        maps_after=residual_maps(last.experiment, last.estimate.theta, progress),
-        notices=unique([*delay_notices, *_doubt_notices(steps), *_search_notices(search)]),
+        maps_before=stages.run("the residual map", lambda: _maps(first, progress), {}),
+        maps_after=stages.run("the residual map", lambda: _maps(last, progress), {}),
+        notices=unique([*delay_notices, *_doubt_notices(steps), *_search_notices(search), *skipped]),
         seconds=time.perf_counter() - started,
     )
+
+
+def _maps(model: Fit, progress: Progress) -> ProfilesByJoint:
+    """Residual maps of a fitted model."""
+    return residual_maps(model.experiment, model.estimate.theta, progress)
+
+
+def _remaining_errors(search: EffectSearch) -> ErrorSummary:
+    """Errors of the model with all effects, those included that are not named."""
+    current = search.current
+    return evaluate_errors(current.experiment, current.estimate.theta, False, search.progress)
+
+
+def _residual_as_floor(errors: ErrorSummary) -> NoiseFloor:
+    """Noise floor that is not known: all of the residual may be noise."""
+    rms = np.array([value for _, value in _by_joint(errors.torque)])
+    return NoiseFloor(rms, rms, rms, np.ones(len(rms)))
+
+
+def _remove_harmful(search: EffectSearch, first: Fit) -> None:
+    """Remove effects that, in the order in which they are reported, increase the held-out error."""
+    while search.reported:
+        harmful = _first_harmful(search, errors_of_fit(first))
+        if harmful is None:
+            return
+        search.remove(harmful, "it increases the error on the held-out data")
+
+
+def _first_harmful(search: EffectSearch, before: ErrorSummary) -> AddedEffect | None:
+    """First effect with which the held-out error is larger than without it; None if there is none."""
+    for k, effect in enumerate(search.reported):
+        experiment = with_effects(search.current.experiment, search.entries(k + 1), search.current.theta)
+        try:
+            current = linearize_fit(experiment, search.progress)
+        except FAILURES:
+            return None
+        after = evaluate_errors(current.experiment, current.estimate.theta, False, search.progress)
+        if after.torque["overall"] > _MAX_INCREASE * before.torque["overall"]:
+            return effect
+        before = after
+    return None
 
 
 def _fit_with_effects(search: EffectSearch, first: Fit, simulate: bool) -> Fit:
@@ -126,7 +191,7 @@ def _fit_with_effects(search: EffectSearch, first: Fit, simulate: bool) -> Fit:
     return first
 
 
-def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool) -> list[DiagnosisStep]:
+def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool, stages: Stages) -> list[DiagnosisStep]:
     """Steps of the diagnosis, with the nonlinear parameters of the final model."""
     steps: list[DiagnosisStep] = []
     previous: LinearizedFit | Fit = first
@@ -134,10 +199,20 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool) -> list[
     for k, effect in enumerate(search.reported):
         current = _fit_with_first_effects(search, k + 1, last)
         theta = current.estimate.theta
-        after = evaluate_errors(current.experiment, theta, simulate, search.progress)
-        location = localize_residual(
-            previous.experiment, previous.estimate.theta, current.experiment, theta, search.progress
+        after = evaluate_errors(current.experiment, theta, False, search.progress)
+        if simulate:
+            errors_with_simulation = partial(evaluate_errors, current.experiment, theta, True, search.progress)
+            after = stages.run("the simulation", errors_with_simulation, after)
+        locate = partial(
+            localize_residual,
+            previous.experiment,
+            previous.estimate.theta,
+            current.experiment,
+            theta,
+            search.progress,
         )
+        nowhere = ResidualLocation((effect.chosen.target,) if effect.chosen.joint else (), (), "")
+        location = stages.run("the location of a residual", locate, nowhere)
         parameters, errors = _parameters(effect, search)
         selection = effect.selection
         alike = [fitted_record(candidate, selection.base) for candidate in selection.indistinguishable]
@@ -256,7 +331,12 @@ def _by_joint(errors: Mapping[str, float]) -> list[tuple[str, float]]:
 
 
 def _unknown_steps(
-    search: EffectSearch, structure: Sequence[Candidate], floor: NoiseFloor, remaining: ErrorSummary, last: Fit
+    search: EffectSearch,
+    structure: Sequence[Candidate],
+    floor: NoiseFloor,
+    remaining: ErrorSummary,
+    last: Fit,
+    stages: Stages,
 ) -> list[DiagnosisStep]:
     """Steps of the joints whose residual is above the noise floor, or has structure that no effect explains."""
     largest_noise = np.maximum(_NEAR_NOISE * floor.noise, _NEGLIGIBLE * search.current.rms_torque)
@@ -272,7 +352,9 @@ def _unknown_steps(
         return []
 
     floor_rms = dict(zip(last.experiment.equation.joints, floor.rms.tolist(), strict=True))
-    locations = localize_unexplained(last.experiment, last.estimate.theta, floor_rms, search.progress)
+    locate = partial(localize_unexplained, last.experiment, last.estimate.theta, floor_rms, search.progress)
+    nowhere: dict[str, ResidualLocation] = {}
+    locations = stages.run("the location of a residual", locate, nowhere)
     errors = errors_of_fit(last)
     steps = []
     for candidate in unknown:
@@ -311,6 +393,9 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
     for (effect_id, target), reason in search.failed.items():
         if (effect_id, target) not in added:
             yield Notice("effect_failed", "warning", None, f"{effect_id} on {target} {reason}")
+    if search.stopped:
+        message = f"{search.stopped}; the effects found by then are reported"
+        yield Notice("search_interrupted", "warning", None, message, "run it again for the rest")
     if search.reversal_joints:
         message = (
             f"within {1e3 * REVERSAL_MARGIN:.0f} ms of reversals, friction on {', '.join(search.reversal_joints)} "

@@ -7,6 +7,7 @@ not reported: without it, it looks like joint elasticity.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -39,7 +40,7 @@ from idtool.diagnosis.selection_round import (
     fit_assumed_effect,
     not_fitted_reason,
 )
-from idtool.diagnosis.trial import FAILURES, ParameterKey, fit_trial, with_effects
+from idtool.diagnosis.trial import FAILURES, ParameterKey, failure_reason, fit_trial, with_effects
 from idtool.diagnosis.unproven import find_unproven
 from idtool.diagnosis.words import removal_sentence, replacement_sentence, unproven_sentence
 from idtool.dynamics.effects import effect_types
@@ -77,6 +78,10 @@ class AddedEffect:
     selection: SelectionStep
     chosen: Candidate
     errors: dict[str, float] = field(default_factory=dict)
+
+
+class _TimeLimitError(Exception):
+    """The search's time is over."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +123,10 @@ class EffectSearch:
         Reason why the model could not be fitted with an effect, by effect and target.
     unproven
         Effects that were removed again because too little speaks for them.
+    stopped
+        Why the search ended before it was complete; empty if it was.
+    is_interrupted
+        True if Ctrl-C ended it.
 
     Parameters
     ----------
@@ -129,14 +138,24 @@ class EffectSearch:
         Number of effects that are added at most.
     progress
         Callback for the stage and its progress, from 0 to 1.
+    budget
+        Time after which the search stops with what it has found [s]; None: no limit.
     """
 
     def __init__(
-        self, experiment: Experiment, effects: Sequence[str] | None, max_effects: int, progress: Progress
+        self,
+        experiment: Experiment,
+        effects: Sequence[str] | None,
+        max_effects: int,
+        progress: Progress,
+        budget: float | None = None,
     ) -> None:
         self._effects = effects
         self._max_effects = max_effects
-        self.progress = progress
+        self._report_progress = progress
+        self._deadline = None if budget is None else time.monotonic() + budget
+        self.stopped = ""
+        self.is_interrupted = False
         self.added: list[AddedEffect] = []
         self.removed: list[str] = []
         self.last_round: SelectionStep | None = None
@@ -150,6 +169,14 @@ class EffectSearch:
         self.current = linearize_fit(experiment, progress)
         self._try_refit([])
         self.initial = self.current
+        self._complete = self._state()  # after the last effect that was added
+
+    def progress(self, stage: str, share: float) -> None:
+        """Report progress; ends the search where its time is over."""
+        self._report_progress(stage, share)
+        if self._deadline is not None and time.monotonic() > self._deadline:
+            self._deadline = None
+            raise _TimeLimitError
 
     @property
     def reported(self) -> list[AddedEffect]:
@@ -165,11 +192,31 @@ class EffectSearch:
             If the model cannot have it.
         """
         selection = fit_assumed_effect(self.current, self.progress, effect, target, self._bursts())
-        if selection.winner is None or self._add(selection, selection.winner):
+        if selection.winner is None or self._add(selection, selection.winner, is_assumed=True):
             what = f"{effect}:{target or 'any joint'} cannot be added"
             raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
 
     def run(self) -> None:
+        """Add effects until none is worthwhile, the time is over, or Ctrl-C; what was found by then remains."""
+        try:
+            self._run()
+        except KeyboardInterrupt:
+            self.is_interrupted = True
+            self._stop("the search was interrupted")
+        except _TimeLimitError:
+            self._stop("the search reached its time limit")
+        except FAILURES as failure:
+            self._stop(f"the search ended early: {failure_reason(failure)}")
+        self._deadline = None
+
+    def _stop(self, reason: str) -> None:
+        """Return to the last model that was complete."""
+        self.stopped = reason
+        self._restore(self._complete)
+        if self.current.reversal_margin:
+            self.current = linearize_fit(self.current.experiment, self.progress)
+
+    def _run(self) -> None:
         """Add effects until none is worthwhile.
 
         Near a reversal, the friction of real robots does not follow Coulomb's law, and simulators smooth the sign. This
@@ -196,6 +243,12 @@ class EffectSearch:
         self._drop_undetermined_parameters()
         if self.current.reversal_margin:
             self.current = linearize_fit(self.current.experiment, self.progress)
+
+    def remove(self, effect: AddedEffect, reason: str) -> None:
+        """Remove an effect for a reason, a clause of a sentence."""
+        self.added = [other for other in self.added if other is not effect]
+        self._try_refit([other.entry for other in self.added])
+        self.removed.append(f"{effect.chosen.effect} on {effect.chosen.target} was removed again: {reason}")
 
     def remove_failed(self, effect: AddedEffect, failure: Exception) -> None:
         """Remove an effect with which the whole model cannot be fitted."""
@@ -253,6 +306,7 @@ class EffectSearch:
                 self._skip(selection.winner, reason)
                 continue
             self._prune()
+            self._complete = self._state()
             state = frozenset((effect.chosen.effect, effect.chosen.target) for effect in self.added)
             if state in earlier:
                 break
@@ -272,15 +326,16 @@ class EffectSearch:
             return ()
         return find_bursts(self.current.experiment, self.current.estimate.theta, self.progress)
 
-    def _add(self, selection: SelectionStep, winner: FittedCandidate) -> str:
-        """Add an effect; the reason why it cannot be added, empty if it was."""
+    def _add(self, selection: SelectionStep, winner: FittedCandidate, is_assumed: bool = False) -> str:
+        """Add an effect; the reason why it cannot be, empty if it was. An assumed one need not explain anything."""
         before = self._state()
         self.added.append(AddedEffect(winner.trial.entries[-1], selection, fitted_record(winner, self.current)))
         failure = self._try_refit([effect.entry for effect in self.added])
         if failure:
             self._restore(before)
             return not_fitted_reason(failure)
-        if is_reportable(winner.probe.effect) and not self._is_improved(before.current):
+        needs_check = is_reportable(winner.probe.effect) and not is_assumed
+        if needs_check and not self._is_improved(before.current):
             self._restore(before)
             return "increases the error on the held-out data when all effects are fitted together"
         return ""

@@ -53,6 +53,8 @@ class ScreenedProbe:
         Information of the data on the coefficients, beside the model's, shape (k, k).
     inflation
         Ratio of the covariance to that of independent rows.
+    failure
+        Why it could not be evaluated; None if it was.
     """
 
     probe: Probe
@@ -61,6 +63,7 @@ class ScreenedProbe:
     gains: Array
     information: Array
     inflation: float
+    failure: Exception | None = None
 
     @property
     def gain(self) -> float:
@@ -75,7 +78,7 @@ class ScreenedProbe:
     @property
     def is_possible(self) -> bool:
         """True if physics allows the coefficients and an effect has them."""
-        return self.probe.is_feasible(self.c) and self.entry is not None
+        return self.failure is None and self.probe.is_feasible(self.c) and self.entry is not None
 
     @cached_property
     def entry(self) -> EffectEntry | None:
@@ -120,9 +123,30 @@ def screen_probes(
     """
     screened: list[ScreenedProbe] = []
     for group in _groups_in_memory(linearized, probes):
-        sums = _accumulate(linearized, group, progress, stage)
-        screened += _solve_all(linearized, group, sums)
+        screened += _screen_group(linearized, group, progress, stage)
     return screened
+
+
+def _screen_group(
+    linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str
+) -> list[ScreenedProbe]:
+    """Screen probes together; where that fails, halves of them, until the failing ones are found."""
+    try:
+        sums = _accumulate(linearized, probes, progress, stage)
+        return _solve_all(linearized, probes, sums)
+    except (ArithmeticError, ValueError, RuntimeError) as failure:
+        if len(probes) == 1:
+            return [_failed(linearized, probes[0], failure)]
+    half = len(probes) // 2
+    first = _screen_group(linearized, probes[:half], progress, stage)
+    return first + _screen_group(linearized, probes[half:], progress, stage)
+
+
+def _failed(linearized: LinearizedFit, probe: Probe, failure: Exception) -> ScreenedProbe:
+    """Result of a probe that could not be evaluated: it explains nothing."""
+    k = probe.coefficient_count
+    none = np.zeros((k, k))
+    return ScreenedProbe(probe, np.zeros(k), none, np.zeros(linearized.block_count), none, np.nan, failure)
 
 
 def _groups_in_memory(linearized: LinearizedFit, probes: Sequence[Probe]) -> Iterator[list[Probe]]:

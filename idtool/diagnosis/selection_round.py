@@ -37,7 +37,7 @@ from idtool.diagnosis.trial import (
     has_fixed_inertia,
     parameter_value,
 )
-from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
@@ -84,8 +84,11 @@ def find_best_effect(
     skipped
         Keys of candidates that are not tried.
     """
-    probes = [probe for probe in _candidate_probes(base, effects, bursts) if probe_key(probe) not in skipped]
+    summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
+    candidates, failed = _candidate_probes(summary, effects)
+    probes = [probe for probe in candidates if probe_key(probe) not in skipped]
     screened = screen_probes(base, probes, progress)
+    failed += [screened_record(one, base, not_fitted_reason(one.failure)) for one in screened if one.failure]
     inflation = _median_inflation(base, screened)
     best = best_by_key(_promising(screened))
     to_refine = _by_gain(best.values())[:_REFINED]
@@ -94,17 +97,17 @@ def find_best_effect(
 
     fitted: list[FittedCandidate] = []
     rejected: list[Candidate] = []
-    failed: list[Candidate] = []
     for candidate in _by_gain(best.values())[:_FINALISTS]:
         best_gain = max((other.screened.gain for other in fitted), default=0.0)
         if candidate.gain < max(MIN_SIGNIFICANCE**2 * inflation, _MIN_FINALIST_GAIN * best_gain):
             break
         try:
             finalist = _fit_candidate(base, candidate, progress)
+            reason = _objection(finalist, base, initial, summary)
         except FAILURES as failure:
             failed.append(screened_record(candidate, base, not_fitted_reason(failure)))
             continue
-        if reason := _objection(finalist, base, initial):
+        if reason:
             rejected.append(screened_record(candidate, base, reason))
         else:
             fitted.append(finalist)
@@ -132,7 +135,9 @@ def fit_assumed_effect(
         Time intervals in which the residual is unusually large [s].
     """
     # Among the candidates are also those that are fitted along without being named.
-    probes = [probe for probe in _candidate_probes(base, (effect,), bursts) if probe.effect == effect]
+    summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
+    candidates, _ = _candidate_probes(summary, (effect,))
+    probes = [probe for probe in candidates if probe.effect == effect]
     if target is not None:
         probes = [probe for probe in probes if probe.subject[1] == target]
     screened = screen_probes(base, probes, progress)
@@ -146,20 +151,25 @@ def fit_assumed_effect(
     return SelectionStep(base, winner, (), (), (), _median_inflation(base, screened))
 
 
-def _candidate_probes(base: LinearizedFit, effects: Sequence[str] | None, bursts: Bursts) -> list[Probe]:
-    """Hypotheses of all effects that may be missing."""
-    summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
+def _candidate_probes(summary: DataSummary, effects: Sequence[str] | None) -> tuple[list[Probe], list[Candidate]]:
+    """Hypotheses of all effects that may be missing, and the effects that cannot be tried, with reasons."""
     kinds = {}
     for id, kind in effect_types().items():
         if effects is None or id in effects or not kind.reportable:
             kinds[id] = kind
-    probes = []
+    probes: list[Probe] = []
+    failed = []
     for kind in kinds.values():
         required = [effect for effect in kind.requires if effect in kinds]
-        for probe in kind.probes(summary):
+        try:
+            own = list(kind.probes(summary))
+        except FAILURES as failure:
+            failed.append(Candidate(kind.id, None, None, 0.0, 0.0, 0, not_fitted_reason(failure)))
+            continue
+        for probe in own:
             if not required or _has_any(summary, required, probe.subject[1]):
                 probes.append(probe)
-    return probes
+    return probes, failed
 
 
 def _has_any(summary: DataSummary, effects: Sequence[str], owner: str) -> bool:
@@ -214,9 +224,11 @@ def not_fitted_reason(failure: Exception) -> str:
     return f"cannot be fitted together with the rest of the model: {failure_reason(failure)}"
 
 
-def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit) -> str:
+def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary) -> str:
     """Reason why a fitted candidate is no explanation; empty if it may be one."""
     fit = candidate.trial.linearized
+    if reason := _implausibility(candidate, summary):
+        return reason
     if not _is_within_bounds(fit, base):
         return "reaches its bounds when fitted with the rest of the model"
     if parameter := _undetermined_parameter(candidate.trial):
@@ -232,6 +244,22 @@ def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: Lineari
             "the torque"
         )
     return ""
+
+
+def _implausibility(candidate: FittedCandidate, summary: DataSummary) -> str:
+    """Why no robot has such an effect."""
+    fit = candidate.trial.linearized
+    equation = fit.experiment.equation
+    entry = candidate.trial.entries[-1]
+    key = effect_from_entry(entry, fit.experiment.model).key
+    values = dict(entry.values)
+    offsets = equation.offsets()
+    for effect, first, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
+        if isinstance(effect, NamedEffect) and effect.key == key and end > first:
+            unknown = np.full((end - first, end - first), np.inf)
+            linear = effect.parameters(fit.estimate.theta[first:end], unknown)
+            values |= {name: value for name, (value, _) in linear.items()}
+    return effect_types()[entry.effect].implausibility(values, entry.joint, summary)
 
 
 def _worsens_validation(candidate: FittedCandidate, base: LinearizedFit) -> bool:

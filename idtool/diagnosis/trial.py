@@ -32,7 +32,7 @@ from idtool.robot.inertia import PI_SIZE
 ParameterKey = tuple[int, str]  # place in the configuration's effects, and name of the parameter
 Range = tuple[float, float]
 
-FAILURES = (IdtoolError, np.linalg.LinAlgError)  # of a model that cannot be fitted
+FAILURES = (IdtoolError, ArithmeticError, ValueError, RuntimeError)  # of a model that cannot be fitted
 
 _DIFFERENCE = 1e-3  # of a value, or this if it is small: step of a finite difference
 _SMALL_VALUE = 0.1  # below which a value counts as small
@@ -48,7 +48,11 @@ _FIXED_INERTIA = "--inertia fixed"
 
 def failure_reason(failure: Exception) -> str:
     """Reason of a failure, without the file or key that it is about."""
-    return failure.what if isinstance(failure, IdtoolError) else "its equations have no solution"
+    if isinstance(failure, IdtoolError):
+        return failure.what
+    if isinstance(failure, np.linalg.LinAlgError):
+        return "its equations have no solution"
+    return f"its evaluation failed ({type(failure).__name__})"
 
 
 @dataclass(frozen=True)

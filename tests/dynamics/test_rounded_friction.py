@@ -5,6 +5,7 @@ That is no effect, and not unknown.
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from pathlib import Path
 
@@ -30,6 +31,7 @@ SECONDS, STEP, NOISE = 16.0, 5e-4, 0.05  # s, s, N·m
 LENGTH, MASS, ARMATURE = (0.3, 0.25), (2.2, 1.1), (0.15, 0.06)  # m, kg, kg·m²
 DAMPING, DRY = (0.8, 0.3), (1.4, 0.6)  # N·m·s/rad, N·m
 KP, KD = np.array([500.0, 200.0]), np.array([15.0, 5.0])
+LEAD = 0.02 * 0.95 / 2  # s: of MuJoCo's default solref and solimp
 STIFFNESS, REST = 8.0, 0.35  # N·m/rad, rad
 ROUNDING, SHARP = 0.05, 0.005  # rad/s, of c tanh(v / rounding)
 
@@ -120,8 +122,12 @@ def is_the_spring(found: Diagnosis) -> None:
 def test_friction_that_is_rounded_off_in_time_is_no_disagreement(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, 0.0)
     assert (found.verdict, found.steps) == ("no_disagreement", ())
-    (note,) = sentences(found.notices)
-    assert note.startswith("within 40 ms of reversals, friction on shoulder does not follow")
+    notes = sentences(found.notices)
+    assert len(notes) == 2
+    for name, note in zip(("shoulder", "elbow"), notes, strict=True):
+        assert note.startswith(f"{name}: friction changes its sign gradually around zero speed")
+        (lead,) = re.findall(r"lead ([0-9.]+)", note)
+        assert float(lead) == pytest.approx(LEAD, abs=0.002)
 
 
 def test_what_it_would_hide_is_found(tmp_path: Path) -> None:

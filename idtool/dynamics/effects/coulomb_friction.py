@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from typing_extensions import override
 
@@ -23,6 +26,11 @@ class CoulombFriction(DryFriction):
     friction_key = "coulomb"
     urdf_attribute = "friction"
     units = ("N·m", "N")
+
+    @classmethod
+    @override
+    def dry_friction(cls, values: Mapping[str, Any]) -> float:
+        return float(values["coulomb"])
 
     @override
     def level(self, motion: Motion) -> Array:

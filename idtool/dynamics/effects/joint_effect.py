@@ -130,6 +130,21 @@ class JointEffect(NamedEffect):
         return tuple(parameter.name for parameter in cls.nonlinear_parameters if not parameter.is_joint)
 
     @classmethod
+    @override
+    def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
+        """Dry friction that is larger than any torque of the joint."""
+        largest_friction = cls.dry_friction(values)
+        peak = float(summary.peak_torque[summary.model.names.index(str(joint))])
+        if largest_friction <= peak:
+            return ""
+        return f"its friction, {largest_friction:.3g}, is larger than the largest torque of the joint, {peak:.3g}"
+
+    @classmethod
+    def dry_friction(cls, values: Mapping[str, Any]) -> float:
+        """Largest dry friction torque by the parameters [N·m or N]; 0 if the effect is none."""
+        return 0.0
+
+    @classmethod
     def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
         """Values of the nonlinear parameters to try on a joint; nothing where the joint can't have the effect."""
         if cls.may_act_on(summary.model, joint):

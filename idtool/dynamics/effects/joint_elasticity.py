@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 from scipy.signal import welch
@@ -73,6 +74,18 @@ class JointElasticity(FixedJointEffect):
             return
         for share in _MOTOR_FRICTION_SHARES:
             yield {"motor_friction": share}
+
+    @classmethod
+    @override
+    def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
+        """A joint that deflects by less than the noise of its position, or by more than its own travel."""
+        j = summary.model.names.index(str(joint))
+        deflection = float(summary.peak_torque[j]) / float(values["stiffness"])
+        if deflection > summary.q_range[j]:
+            return f"it would deflect by {deflection:.2g} at the largest torque, more than the joint travels"
+        if deflection < summary.velocity_deadband[j] * summary.dt:
+            return f"it would deflect by {deflection:.2g} at the largest torque, less than the noise of the position"
+        return ""
 
     @classmethod
     @override

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from idtool.common.arrays import Array
 from idtool.dynamics.effects.data_summary import DataSummary
@@ -155,6 +155,21 @@ class NamedEffect(Effect):
     def is_background(cls, entry: EffectEntry, dt: float) -> bool:
         """True if an entry has no more of the effect than every log with a sample time ``dt`` [s]."""
         return False
+
+    @classmethod
+    def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
+        """Why no robot has such an effect, as a clause; empty: one may.
+
+        Parameters
+        ----------
+        values
+            All parameters by name.
+        joint
+            The joint; None if the effect acts on none.
+        summary
+            The robot and its data.
+        """
+        return ""
 
     @classmethod
     def doubt(cls, entries: Sequence[EffectEntry], model: RobotModel) -> str:

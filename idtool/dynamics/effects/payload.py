@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -97,6 +97,16 @@ class Payload(LinkEffect):
         for body in summary.model.bodies:
             if body.kind == "link" and not summary.has_effect(cls.id, body.name):
                 yield cls._probe(summary.model, body.name)
+
+    @classmethod
+    @override
+    def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
+        """One payload that outweighs the robot."""
+        mass = float(values["mass"])
+        robot = sum(float(body.pi[0]) for body in summary.model.bodies)
+        if mass <= robot:
+            return ""
+        return f"its mass, {mass:.3g} kg, is more than that of all moving links and rotors of the URDF, {robot:.3g} kg"
 
     @classmethod
     @override

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from typing_extensions import override
@@ -52,6 +53,11 @@ class PreslidingHysteresis(JointTerm):
         travel = summary.q_range[joint]
         for displacement in geometric_grid(_SHORTEST * travel, _LONGEST * travel, _TRIALS):
             yield {"displacement": displacement, "damping": 0.0}
+
+    @classmethod
+    @override
+    def dry_friction(cls, values: Mapping[str, Any]) -> float:
+        return float(values["amplitude"])
 
     def torque(self, state: Array, v: Array) -> Array:
         """Torque per unit of the amplitude; see `HysteresisTerm.torque`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from typing_extensions import override
@@ -40,6 +41,11 @@ class StribeckFriction(DryFriction):
         slowest = _MIN_VELOCITY * summary.velocity_deadband[joint]
         for velocity in geometric_grid(slowest, summary.rms_velocity[joint], _TRIALS):
             yield {"velocity": velocity}
+
+    @classmethod
+    @override
+    def dry_friction(cls, values: Mapping[str, Any]) -> float:
+        return float(values["stribeck"])
 
     @override
     def level(self, motion: Motion) -> Array:

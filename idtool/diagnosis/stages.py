@@ -1,0 +1,60 @@
+"""`Stages`: parts of a diagnosis without which there still is a result, each skipped where it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+from idtool.common.notice import Notice
+from idtool.diagnosis.trial import FAILURES, failure_reason
+
+T = TypeVar("T")
+
+
+class Stages:
+    """Runs the stages, and notes those that were skipped.
+
+    After Ctrl-C, the present stage and all others are skipped, so that what was found is written at once. The second
+    Ctrl-C ends the program.
+
+    Parameters
+    ----------
+    interrupted
+        True if the user has asked for the result already.
+
+    Attributes
+    ----------
+    notices
+        What was skipped, and why.
+    """
+
+    def __init__(self, interrupted: bool) -> None:
+        self._interrupted = interrupted
+        self.notices: list[Notice] = []
+
+    def run(self, name: str, stage: Callable[[], T], otherwise: T) -> T:
+        """Result of a stage, or the one that stands for it.
+
+        Parameters
+        ----------
+        name
+            Name of the stage, as in "... was skipped".
+        stage
+            The stage.
+        otherwise
+            Its result if it fails.
+        """
+        if self._interrupted:
+            self._note(name, "the diagnosis was interrupted")
+            return otherwise
+        try:
+            return stage()
+        except KeyboardInterrupt:
+            self._interrupted = True
+            self._note(name, "the diagnosis was interrupted")
+        except FAILURES as failure:
+            self._note(name, failure_reason(failure))
+        return otherwise
+
+    def _note(self, name: str, reason: str) -> None:
+        self.notices.append(Notice("stage_skipped", "warning", None, f"{name} was skipped: {reason}"))
