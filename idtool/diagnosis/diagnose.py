@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from idtool.common.notice import Notice, unique
+from idtool.diagnosis.confirmation import coefficient_covariance, contradiction, estimate_on_parts
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.effect_search import REVERSAL_MARGIN, AddedEffect, EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit, evaluate_errors
@@ -23,6 +24,7 @@ from idtool.diagnosis.records import (
     Diagnosis,
     DiagnosisStep,
     ErrorSummary,
+    PartEstimate,
     ProfilesByJoint,
     ResidualLocation,
     Verdict,
@@ -43,6 +45,7 @@ from idtool.estimation.fit import Fit, fit
 _STRUCTURED_SHARE = 0.1  # of a joint's squared residual, explained by a generic function: it has structure
 _NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual does not matter
 _SLOW_POWER = 25.0  # ratio of the residual's power to the noise's at the motion's frequencies: it has structure
+_MIN_EXPLAINED_SHARE = 0.5  # of a joint's squared residual above the noise floor, below which an effect is in doubt
 _MAX_INCREASE = 1.0005  # ratio of the held-out errors of all joints together, with an effect and without it
 _MAX_FLOOR_RATIO = 1.3  # of the noise floor, up to which a residual is explained
 _NEAR_NOISE = 1.5  # times the noise, up to which a residual counts as noise
@@ -107,10 +110,11 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     search.run()
 
     stages = Stages(interrupted=search.is_interrupted)
-    plain = fit(experiment, progress)
-    first = plain
+    first = None
     if options.simulate:
-        first = stages.run("the simulation", lambda: fit(experiment, progress, simulate=True), plain)
+        first = stages.run("the simulation", lambda: fit(experiment, progress, simulate=True), None)
+    if first is None:
+        first = fit(experiment, progress)
     simulate = first.simulation is not None
     if not options.assumed:
         _remove_harmful(search, first)
@@ -120,6 +124,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     remaining = stages.run("the error of all effects together", lambda: _remaining_errors(search), errors_of_fit(last))
     floor = stages.run("the noise floor", lambda: _noise_floor(search, structure), _residual_as_floor(remaining))
     steps = with_doubts(_steps(search, first, last, simulate, stages), experiment.model)
+    steps = _confirmed(steps, search, floor, remaining, stages)
     steps += _unknown_steps(search, structure, floor, remaining, last, stages)
     delay_notices = delay.notices if delay else ()
     skipped = [*before_search.notices, *stages.notices]
@@ -179,6 +184,54 @@ def _first_harmful(search: EffectSearch, before: ErrorSummary) -> AddedEffect | 
             return effect
         before = after
     return None
+
+
+def _confirmed(
+    steps: Sequence[DiagnosisStep], search: EffectSearch, floor: NoiseFloor, remaining: ErrorSummary, stages: Stages
+) -> list[DiagnosisStep]:
+    """Steps with the size of their effects on parts of the data, and doubts about those that are not confirmed."""
+    if not steps:
+        return []
+    entries = [effect.entry for effect in search.reported]
+    inflation = float(np.median([effect.selection.inflation for effect in search.reported]))
+    estimate = partial(estimate_on_parts, search.current, entries, inflation, search.progress)
+    unconfirmed: list[list[PartEstimate]] = [[] for _ in entries]
+    parts = stages.run("the confirmation on parts of the data", estimate, unconfirmed)
+    confirmed = []
+    for step, estimates in zip(steps, parts, strict=True):
+        doubt = step.doubt or _contradiction_sentence(step, estimates)
+        doubt = doubt or _partial_explanation(step, floor, remaining)
+        confirmed.append(replace(step, parts=tuple(estimates), doubt=doubt))
+    return confirmed
+
+
+def _contradiction_sentence(step: DiagnosisStep, estimates: Sequence[PartEstimate]) -> str:
+    """Doubt about an effect that has different sizes on parts of the data."""
+    clause = contradiction(estimates)
+    if not clause:
+        return ""
+    subject = f"{step.chosen.effect} on {step.chosen.target}"
+    return f"{subject} is not the same everywhere in the data: {clause}; something else may be behind it"
+
+
+def _partial_explanation(step: DiagnosisStep, floor: NoiseFloor, remaining: ErrorSummary) -> str:
+    """Doubt about an effect whose joint keeps most of its residual."""
+    joint = step.chosen.joint
+    if joint is None:
+        return ""
+    names = [name for name, _ in _by_joint(remaining.torque)]
+    noise = float(floor.rms[names.index(joint)])
+    if remaining.torque[joint] <= _MAX_FLOOR_RATIO * noise:
+        return ""
+    explained = step.before.torque[joint] ** 2 - step.after.torque[joint] ** 2
+    above_floor = max(step.before.torque[joint] ** 2 - noise**2, 0.0)
+    share = explained / max(above_floor, 1e-300)
+    if share > _MIN_EXPLAINED_SHARE:
+        return ""
+    return (
+        f"{step.chosen.effect} explains only {100 * max(share, 0.0):.0f} % of what the squared residual of {joint} has "
+        "above the noise floor; something else may be behind it"
+    )
 
 
 def _fit_with_effects(search: EffectSearch, first: Fit, simulate: bool) -> Fit:
@@ -260,8 +313,7 @@ def _parameters(effect: AddedEffect, search: EffectSearch) -> tuple[dict[str, ob
     offsets = equation.offsets()
     for present, start, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
         if isinstance(present, NamedEffect) and present.key == key and end > start:
-            directions = fitted.directions[start:end]
-            covariance = effect.selection.inflation * directions @ np.linalg.solve(fitted.information, directions.T)
+            covariance = coefficient_covariance(fitted, slice(start, end), effect.selection.inflation)
             linear = present.parameters(fitted.estimate.theta[start:end], covariance)
             for name, (value, error) in linear.items():
                 values[name] = value

@@ -18,7 +18,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.bursts import find_bursts
-from idtool.diagnosis.held_out_error import held_out_errors
+from idtool.diagnosis.held_out_error import improves_held_out_error
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import (
     MIN_SHARE,
@@ -335,16 +335,10 @@ class EffectSearch:
             self._restore(before)
             return not_fitted_reason(failure)
         needs_check = is_reportable(winner.probe.effect) and not is_assumed
-        if needs_check and not self._is_improved(before.current):
+        if needs_check and not improves_held_out_error(before.current, self.current):
             self._restore(before)
             return "increases the error on the held-out data when all effects are fitted together"
         return ""
-
-    def _is_improved(self, before: LinearizedFit) -> bool:
-        """True if the held-out error is smaller than before, and that of no joint is larger beyond chance."""
-        row_equation = before.experiment.equation
-        errors = held_out_errors(self.current, row_equation)
-        return errors.is_improved(held_out_errors(before, row_equation), before.noise)
 
     def _state(self) -> _State:
         fitted = tuple((effect.entry, effect.errors) for effect in self.added)

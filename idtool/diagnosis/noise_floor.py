@@ -120,7 +120,7 @@ def _unknowable_torque(model: LinearizedModel, batch: Batch) -> Array:
 
     Where friction may have either direction, that is twice its level; where another effect is undefined, infinity.
     """
-    friction = np.stack([model.dry_friction_level(j) for j in range(len(model.true_motion.q))])
+    friction = np.stack([model.friction_level(j) for j in range(len(model.true_motion.q))])
     of_friction, of_others = model.equation.undefined_shares(batch)
     error = 2 * of_friction * np.maximum(batch.filter(friction), 0.0)
     return np.asarray(np.where(of_others > _MAX_UNDEFINED_SHARE, np.inf, error))

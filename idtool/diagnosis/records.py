@@ -94,6 +94,26 @@ class Candidate:
 
 
 @dataclass(frozen=True)
+class PartEstimate:
+    """Size of an effect on a part of the data.
+
+    Attributes
+    ----------
+    part
+        Name of the part: a log, or "first half" or "second half" of the only one.
+    parameter
+        The parameter that is its size.
+    value, standard_error
+        Estimate from this part alone.
+    """
+
+    part: str
+    parameter: str
+    value: float
+    standard_error: float
+
+
+@dataclass(frozen=True)
 class DiagnosisStep:
     """An effect that was added, or ``unknown`` for the remaining residual.
 
@@ -123,6 +143,8 @@ class DiagnosisStep:
         The result, for people.
     doubt
         What speaks against it, a plain sentence; empty if nothing does.
+    parts
+        Its size on each log by itself, or on the two halves of the only one; empty if it could not be estimated there.
     """
 
     chosen: Candidate
@@ -139,6 +161,7 @@ class DiagnosisStep:
     after: ErrorSummary
     sentence: str
     doubt: str = ""
+    parts: tuple[PartEstimate, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from idtool.common.exceptions import ConfigError
-from idtool.diagnosis.held_out_error import held_out_errors
+from idtool.diagnosis.held_out_error import held_out_mean_squares
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.model_selection import (
     MIN_SHARE,
@@ -268,8 +268,8 @@ def _worsens_validation(candidate: FittedCandidate, base: LinearizedFit) -> bool
     joint = candidate.probe.joint
     reached = [joint is None or name == joint for name in equation.joints]
     unit = np.square(base.noise)
-    with_effect = (held_out_errors(candidate.trial.linearized, equation).mean_squares / unit)[reached].sum()
-    without = (held_out_errors(base, equation).mean_squares / unit)[reached].sum()
+    with_effect = (held_out_mean_squares(candidate.trial.linearized, equation) / unit)[reached].sum()
+    without = (held_out_mean_squares(base, equation) / unit)[reached].sum()
     return bool(with_effect > _MAX_VALIDATION_RATIO * without)  # NaN without held-out data
 
 

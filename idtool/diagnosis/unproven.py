@@ -17,7 +17,6 @@ from idtool.estimation.dataset.experiment import Progress
 
 _MIN_SHARE_OF_LARGEST = 0.1  # of what the largest effect explains, that needs no further evidence
 _MIN_EXPLAINED = 0.7  # of its joints' residual above the noise floor, that a smaller effect must explain
-_MIN_SIGNIFICANCE = 3.0  # standard errors of the gain over blocks of time, that it must have
 
 
 def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], progress: Progress) -> int | None:
@@ -45,10 +44,7 @@ def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], prog
     for k, own in enumerate(saved):
         if totals[k] >= _MIN_SHARE_OF_LARGEST * totals.max():
             continue
-        if (
-            _explained_share(own, above_floor) < _MIN_EXPLAINED
-            or _significance(without[k], current) < _MIN_SIGNIFICANCE
-        ):
+        if _explained_share(own, above_floor) < _MIN_EXPLAINED:
             unproven.append(k)
     return min(unproven, key=lambda k: float(totals[k])) if unproven else None
 
@@ -57,10 +53,3 @@ def _explained_share(saved: Array, above_floor: Array) -> float:
     """Share of the residual above the noise floor that an effect explains, on the joint where it explains most."""
     j = int(np.argmax(saved))
     return float(saved[j] / max(saved[j] + above_floor[j], np.finfo(float).tiny))
-
-
-def _significance(without: LinearizedFit, current: LinearizedFit) -> float:
-    """Gain of the validation error by an effect, in its standard errors over blocks of time."""
-    gains = without.cv_squared_error - current.cv_squared_error
-    error = np.sqrt(len(gains)) * gains.std(ddof=1)
-    return float(gains.sum() / max(error, np.finfo(float).tiny))

@@ -121,8 +121,8 @@ class LinearizedModel:
                 total += theta[active] @ _columns(effect, self.true_motion)[joint]
         return total
 
-    def dry_friction_level(self, joint: int) -> Array:
-        """Largest dry friction torque of a joint at each sample, whatever its direction, shape (N,)."""
+    def friction_level(self, joint: int) -> Array:
+        """Largest friction torque of a joint at each sample, whatever its direction, shape (N,)."""
         level = np.zeros(len(self.true_motion.t))
         first = 0
         for effect in self.equation.effects:
@@ -132,7 +132,7 @@ class LinearizedModel:
                 continue
             if isinstance(effect, DryFriction):
                 level += np.abs(theta[0] * effect.level(self.true_motion))
-            elif effect.invalid_mask(self.true_motion):
+            else:
                 level += np.abs(theta[effect.active[joint]] @ _columns(effect, self.true_motion)[joint])
         return level
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 
 from idtool.common.notice import Notice
 from idtool.diagnosis.comparison import Comparison
@@ -20,6 +21,7 @@ from idtool.reporting.results.diagnosis import (
     ErrorLevel,
     Evidence,
     Location,
+    PartReport,
     ResidualMap,
     ResidualMaps,
     StepReport,
@@ -172,6 +174,7 @@ def _step(step: DiagnosisStep, model: RobotModel) -> StepReport:
             rollout_worse=_worse_rollouts(step.before, step.after),
             sentence=step.sentence,
             doubt=step.doubt,
+            parts=tuple(PartReport(**asdict(part)) for part in step.parts),
         ),
         validation_rms_before=plain_data(step.before.torque),
         validation_rms_after=plain_data(step.after.torque),

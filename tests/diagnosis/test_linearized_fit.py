@@ -14,7 +14,7 @@ from prescribed_motions import Log, prescribed_motion, silent, stacked, with_noi
 from reference import Reference
 from spatial_arm import ARM, JOINTS, NOISE, experiment, in_band, written
 
-from idtool.diagnosis.held_out_error import held_out_errors
+from idtool.diagnosis.held_out_error import held_out_mean_squares
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import parse_config
@@ -142,9 +142,9 @@ def test_what_is_held_out_is_judged_by_pinocchio(tmp_path: Path, log: Log) -> No
     assert part.start / len(log["t"]) == pytest.approx(0.6, abs=0.02)
     error = in_band(log["tau"] - torque)[part]
     expected = np.mean(np.square(error), axis=0) / fitted.noise**2
-    found_errors = held_out_errors(fitted, tried.equation).mean_squares / fitted.noise**2
+    found_errors = held_out_mean_squares(fitted, tried.equation) / fitted.noise**2
     np.testing.assert_allclose(found_errors, expected, rtol=0.03)
-    assert np.isnan(held_out_errors(grounded(tmp_path, log)[1], tried.equation).mean_squares).all()
+    assert np.isnan(held_out_mean_squares(grounded(tmp_path, log)[1], tried.equation)).all()
 
 
 def test_another_fit_counts_the_same_rows_in_the_same_units(tmp_path: Path, log: Log) -> None:

@@ -83,7 +83,19 @@ class Evidence(Record):
         "Joints whose simulation is worse although their torque is predicted better."
     )
     sentence: str = field("Description of the step.")
-    doubt: str = field("Reason for doubt, such as a payload heavier than the robot; empty: none.")
+    doubt: str = field("Reason for doubt, such as a size that differs between logs; empty: none.")
+    parts: tuple[PartReport, ...] = field(
+        "Size of the effect on each log by itself, or on the two halves of the only one; empty if not known."
+    )
+
+
+class PartReport(Record):
+    """Size of an effect on a part of the data."""
+
+    part: str = field("The log, or `first half` or `second half` of the only one.")
+    parameter: str = field("The parameter that is the effect's size.")
+    value: float = field("Its value from this part alone.")
+    standard_error: float = field("Its standard error.")
 
 
 class StepReport(EffectReport):

@@ -1,0 +1,152 @@
+"""Confirmation of effects on parts of the data: on every log by itself, or with one log only, on its two halves.
+
+An effect that is truly there has the same size everywhere. One that stands for something else has the size that the
+motion of each part gives it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.records import PartEstimate
+from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, parameter_value
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
+from idtool.estimation.dataset.experiment import Experiment, Progress, Run
+from idtool.robot.config import EffectEntry
+
+_MAX_PARTS = 6  # logs that are fitted by themselves, the first ones
+_MAX_DIFFERENCE = 4.0  # standard errors by which two estimates of one size may differ
+_SAME_SIZE = 0.2  # relative difference, up to which sizes agree whatever their standard errors
+
+
+def estimate_on_parts(
+    current: LinearizedFit, entries: Sequence[EffectEntry], inflation: float, progress: Progress
+) -> list[list[PartEstimate]]:
+    """Size of each effect on each part of the training data.
+
+    Parameters
+    ----------
+    current
+        The model.
+    entries
+        Its effects that are to be confirmed, as they are in it.
+    inflation
+        Number of rows that are worth one independent one.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+
+    Returns
+    -------
+    For each entry, the parts on which its size could be estimated.
+    """
+    all_entries = current.experiment.config.effects
+    indices = [next(i for i, other in enumerate(all_entries) if other is entry) for entry in entries]
+    estimates: list[list[PartEstimate]] = [[] for _ in entries]
+    for name, part in _parts(current.experiment):
+        try:
+            alone = linearize_fit(part, progress, reversal_margin=current.reversal_margin)
+            trial = fit_trial(alone, all_entries, indices, progress)
+        except FAILURES:  # too short by itself
+            continue
+        for own, index in zip(estimates, indices, strict=True):
+            size = _size(trial, index, inflation)
+            if size is not None:
+                own.append(PartEstimate(name, *size))
+    return estimates
+
+
+def contradiction(estimates: Sequence[PartEstimate]) -> str:
+    """What contradicts the size of an effect, as a clause; empty if the parts agree or cannot tell."""
+    for i, first in enumerate(estimates):
+        for second in estimates[:i]:
+            if not _agree(first, second):
+                return f"its {first.parameter} is {_text(second)}, but {_text(first)}"
+    return ""
+
+
+def _text(estimate: PartEstimate) -> str:
+    preposition = "on" if estimate.part.endswith("half") else "in"
+    part = f"the {estimate.part} of the log" if estimate.part.endswith("half") else estimate.part
+    return f"{estimate.value:.3g} ± {estimate.standard_error:.2g} {preposition} {part}"
+
+
+def _agree(a: PartEstimate, b: PartEstimate) -> bool:
+    difference = abs(a.value - b.value)
+    chance = _MAX_DIFFERENCE * float(np.hypot(a.standard_error, b.standard_error))
+    return difference <= max(chance, _SAME_SIZE * max(abs(a.value), abs(b.value)))
+
+
+def _parts(experiment: Experiment) -> list[tuple[str, Experiment]]:
+    """The training data of each log, or the two halves of the only one, without held-out data."""
+    runs = [run for run in experiment.runs if run.train]
+    if len(runs) > 1:
+        logs = [(run.signals.log.path.name, replace(run, held_out=())) for run in runs[:_MAX_PARTS]]
+    else:
+        logs = list(zip(("first half", "second half"), _halves(runs[0]), strict=True))
+    return [(name, replace(experiment, runs=(run,))) for name, run in logs]
+
+
+def _halves(run: Run) -> tuple[Run, Run]:
+    """The two halves of a log's training data."""
+    samples = sum(part.stop - part.start for part in run.train)
+    remaining = samples // 2
+    first, second = [], []
+    for part in run.train:
+        middle = min(part.start + max(remaining, 0), part.stop)
+        remaining -= part.stop - part.start
+        if middle > part.start:
+            first.append(slice(part.start, middle))
+        if part.stop > middle:
+            second.append(slice(middle, part.stop))
+    return replace(run, train=tuple(first), held_out=()), replace(run, train=tuple(second), held_out=())
+
+
+def _size(trial: TrialFit, index: int, inflation: float) -> tuple[str, float, float] | None:
+    """Name, value and standard error of the parameter that is an effect's size; None if it has none that is known."""
+    linearized = trial.linearized
+    entry = trial.entries[index]
+    linear = _linear_parameters(linearized, entry, inflation)
+    for name, (value, error) in linear.items():
+        if error is not None and np.isfinite(error):
+            return name, value, error
+    for name in effect_types()[entry.effect].gradient_parameters():
+        number = parameter_value(entry, name)
+        error = trial.errors.get((index, name))
+        if isinstance(number, float) and error is not None and np.isfinite(error):
+            return name, number, error
+    return None
+
+
+def _linear_parameters(
+    linearized: LinearizedFit, entry: EffectEntry, inflation: float
+) -> dict[str, tuple[float, float | None]]:
+    """Linear parameters of an effect with their standard errors, by name."""
+    equation = linearized.experiment.equation
+    key = effect_from_entry(entry, linearized.experiment.model).key
+    offsets = equation.offsets()
+    for effect, first, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
+        if isinstance(effect, NamedEffect) and effect.key == key and end > first:
+            covariance = coefficient_covariance(linearized, slice(first, end), inflation)
+            return effect.parameters(linearized.estimate.theta[first:end], covariance)
+    return {}
+
+
+def coefficient_covariance(linearized: LinearizedFit, coefficients: slice, inflation: float) -> Array:
+    """Covariance of some coefficients of a model, shape (m, m).
+
+    Parameters
+    ----------
+    linearized
+        The model.
+    coefficients
+        Which of its coefficients.
+    inflation
+        Number of rows that are worth one independent one.
+    """
+    directions = linearized.directions[coefficients]
+    return np.asarray(inflation * directions @ np.linalg.solve(linearized.information, directions.T))
