@@ -36,8 +36,9 @@ from idtool.diagnosis.stages import Stages
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
 from idtool.diagnosis.words import distinguishing_experiment, fitted_along_sentence, step_sentence, with_doubts
-from idtool.dynamics.effects import NamedEffect, effect_from_entry
-from idtool.estimation.command_delay import with_delay
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types, friction_types
+from idtool.dynamics.effects.joint_effect import JointEffect
+from idtool.estimation.command_delay import CommandDelay, with_delay
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.fit import Fit, fit
@@ -45,7 +46,6 @@ from idtool.estimation.fit import Fit, fit
 _STRUCTURED_SHARE = 0.1  # of a joint's squared residual, explained by a generic function: it has structure
 _NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual does not matter
 _SLOW_POWER = 25.0  # ratio of the residual's power to the noise's at the motion's frequencies: it has structure
-_MIN_EXPLAINED_SHARE = 0.5  # of a joint's squared residual above the noise floor, below which an effect is in doubt
 _MAX_INCREASE = 1.0005  # ratio of the held-out errors of all joints together, with an effect and without it
 _MAX_FLOOR_RATIO = 1.3  # of the noise floor, up to which a residual is explained
 _NEAR_NOISE = 1.5  # times the noise, up to which a residual counts as noise
@@ -97,7 +97,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         If the logs or the model cannot be used, or an effect cannot be where it is assumed.
     """
     started = time.perf_counter()
-    experiment, delay, _ = with_delay(experiment, progress)
+    experiment, delay = _with_unbiased_delay(experiment, progress)
     experiment = replace(experiment, cache=BatchCache())
     before_search = Stages(interrupted=False)
     no_faults: tuple[Notice, ...] = ()
@@ -143,6 +143,36 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         notices=unique([*delay_notices, *_doubt_notices(steps), *_search_notices(search), *skipped]),
         seconds=time.perf_counter() - started,
     )
+
+
+def _with_unbiased_delay(experiment: Experiment, progress: Progress) -> tuple[Experiment, CommandDelay | None]:
+    """Experiment with the delay from command to torque, where it is to be fitted.
+
+    A rotor that the model lacks moves the delay by milliseconds, and so it is fitted beside the effects that any joint
+    may well have.
+    """
+    configured = experiment.config.effects
+    friction = {(key, joint.name) for joint in experiment.model.joints for key in _friction_of(experiment, joint.name)}
+    present = friction | {(entry.effect, entry.joint) for entry in configured}
+    commonplace = []
+    for kind in effect_types().values():
+        if not (kind.is_commonplace and issubclass(kind, JointEffect)):
+            continue
+        for j, joint in enumerate(experiment.model.joints):
+            if (kind.id, joint.name) not in present and kind.may_act_on(experiment.model, j):
+                commonplace.append(kind.zero_entry(joint.name))
+    try:
+        extended = with_effects(experiment, [*configured, *commonplace])
+        fitted, delay, _ = with_delay(extended, progress)
+    except FAILURES:
+        fitted, delay, _ = with_delay(experiment, progress)
+    return with_effects(fitted, configured), delay
+
+
+def _friction_of(experiment: Experiment, joint: str) -> list[str]:
+    """Ids of the effects that a joint has as its friction."""
+    types = friction_types()
+    return [types[key].id for key, setting in experiment.config.friction_of(joint) if setting]
 
 
 def _maps(model: Fit, progress: Progress) -> ProfilesByJoint:
@@ -215,22 +245,19 @@ def _contradiction_sentence(step: DiagnosisStep, estimates: Sequence[PartEstimat
 
 
 def _partial_explanation(step: DiagnosisStep, floor: NoiseFloor, remaining: ErrorSummary) -> str:
-    """Doubt about an effect whose joint keeps most of its residual."""
-    joint = step.chosen.joint
-    if joint is None:
-        return ""
-    names = [name for name, _ in _by_joint(remaining.torque)]
-    noise = float(floor.rms[names.index(joint)])
-    if remaining.torque[joint] <= _MAX_FLOOR_RATIO * noise:
-        return ""
+    """Doubt about an effect that explains less than what remains of its joint's residual above the noise floor."""
+    joint = step.chosen.joint or "overall"
+    floors = dict(zip((name for name, _ in _by_joint(remaining.torque)), floor.rms.tolist(), strict=True))
+    floors["overall"] = float(np.sqrt(np.mean(np.square(floor.rms))))
     explained = step.before.torque[joint] ** 2 - step.after.torque[joint] ** 2
-    above_floor = max(step.before.torque[joint] ** 2 - noise**2, 0.0)
-    share = explained / max(above_floor, 1e-300)
-    if share > _MIN_EXPLAINED_SHARE:
+    unexplained = remaining.torque[joint] ** 2 - floors[joint] ** 2
+    if explained > unexplained:
         return ""
+    share = max(explained, 0.0) / (max(explained, 0.0) + unexplained)
+    where = "all joints" if joint == "overall" else joint
     return (
-        f"{step.chosen.effect} explains only {100 * max(share, 0.0):.0f} % of what the squared residual of {joint} has "
-        "above the noise floor; something else may be behind it"
+        f"{step.chosen.effect} explains {100 * share:.0f} % of what the squared residual of {where} had above the "
+        "noise floor, and most of the rest is unexplained: something else may be behind both"
     )
 
 

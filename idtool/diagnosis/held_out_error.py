@@ -1,4 +1,4 @@
-"""Error of a fitted model on the held-out data, and whether an effect improves it."""
+"""Error of a fitted model on the held-out data, and whether an effect makes it worse."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.regressor import LinearModel
 
 _MAX_LOSS = 0.25  # of what other joints gain, that some may lose: weights of the joints and chance change all of them
+
+_NEGLIGIBLE = 0.01  # of the squared error of all joints
 
 
 def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) -> Array:
@@ -46,21 +48,22 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
         return np.asarray(squares / count)
 
 
-def improves_held_out_error(before: LinearizedFit, after: LinearizedFit) -> bool:
-    """True if the error on held-out data is smaller, and what some joints lose is little beside what others gain.
+def worsens_held_out_error(before: LinearizedFit, after: LinearizedFit) -> bool:
+    """True if an effect costs some joints more on the held-out data than a small share of what others gain there.
+
+    An effect that the held-out motion does not excite changes hardly anything there, which is nothing against it.
 
     Parameters
     ----------
     before
-        The model without an effect, at whose rows and in whose units the errors count.
+        The model without the effect, at whose rows and in whose units the errors count.
     after
-        The model with it. Without held-out data there is nothing against it.
+        The model with it.
     """
     row_equation = before.experiment.equation
-    errors = held_out_mean_squares(after, row_equation)
-    change = (errors - held_out_mean_squares(before, row_equation)) / np.square(before.noise)
-    if np.isnan(change).all():
-        return True
+    unit = np.square(before.noise)
+    errors_before = held_out_mean_squares(before, row_equation) / unit
+    change = held_out_mean_squares(after, row_equation) / unit - errors_before
     gain = -np.nansum(np.minimum(change, 0.0))
     loss = np.nansum(np.maximum(change, 0.0))
-    return bool(loss < _MAX_LOSS * gain)
+    return bool(loss > max(_MAX_LOSS * gain, _NEGLIGIBLE * np.nansum(errors_before)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from typing_extensions import override
@@ -16,8 +17,9 @@ from idtool.dynamics.effects.probe import geometric_grid
 
 _MIN_VELOCITY = 4.0  # velocity deadbands
 _MAX_VELOCITY = 0.3  # of the rms speed: more would pass for viscous friction
+_MAX_LEAD_VELOCITY = 0.1  # of the rms speed, with a lead
 _TRIALS = 6
-_LEADS = (0.0, 0.01)  # s: MuJoCo's friction loss with its default solref has 9.5 ms
+_TYPICAL_LEAD = 0.01  # s: MuJoCo's friction loss with its default solref has 9.5 ms
 _MAX_LEAD = 0.05  # s
 
 
@@ -47,9 +49,25 @@ class RoundedFriction(JointTerm):
     def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
         slowest = _MIN_VELOCITY * summary.velocity_deadband[joint]
         fastest = _MAX_VELOCITY * summary.rms_velocity[joint]
-        for lead in _LEADS:
-            for velocity in geometric_grid(slowest, fastest, _TRIALS):
-                yield {"velocity": velocity, "lead": lead}
+        for velocity in geometric_grid(slowest, fastest, _TRIALS):
+            yield {"velocity": velocity, "lead": 0.0}
+        fastest = _MAX_LEAD_VELOCITY * summary.rms_velocity[joint]
+        for velocity in geometric_grid(min(slowest, fastest / 2), fastest, _TRIALS):
+            yield {"velocity": velocity, "lead": _TYPICAL_LEAD}
+
+    @classmethod
+    @override
+    def dry_friction(cls, values: Mapping[str, Any]) -> float:
+        return float(values["coulomb"])
+
+    @classmethod
+    @override
+    def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
+        """Also a lead over so wide a range of speeds that c (v + lead a) / velocity would be a rotor's inertia."""
+        fastest = _MAX_LEAD_VELOCITY * summary.rms_velocity[summary.model.names.index(str(joint))]
+        if values.get("lead", 0.0) and float(values["velocity"]) > fastest:
+            return "its change of sign is too wide"
+        return super().implausibility(values, joint, summary)
 
     @override
     def column(self, motion: Motion) -> Array:
