@@ -10,6 +10,7 @@ import numpy as np
 
 from idtool.common.notice import Notice, unique
 from idtool.diagnosis.data_faults import find_data_faults
+from idtool.diagnosis.effect_profile import effect_profile
 from idtool.diagnosis.effect_search import REVERSAL_MARGIN, AddedEffect, EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit, evaluate_errors
 from idtool.diagnosis.generic_probes import UNKNOWN, generic_probes
@@ -134,7 +135,10 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool) -> list[
     for k, effect in enumerate(search.reported):
         current = _fit_with_first_effects(search, k + 1, last)
         theta = current.estimate.theta
-        after = evaluate_errors(current.experiment, theta, simulate, search.progress)
+        if current is last:
+            after = errors_of_fit(last)
+        else:
+            after = evaluate_errors(current.experiment, theta, simulate, search.progress)
         location = localize_residual(
             previous.experiment, previous.estimate.theta, current.experiment, theta, search.progress
         )
@@ -155,6 +159,14 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool) -> list[
             before=before,
             after=after,
             sentence="",
+            profile=effect_profile(
+                effect.entry,
+                previous.experiment,
+                previous.estimate.theta,
+                current.experiment,
+                theta,
+                search.progress,
+            ),
         )
         steps.append(replace(step, sentence=step_sentence(step, first.experiment.model.units)))
         previous = current
@@ -163,7 +175,9 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool) -> list[
 
 
 def _fit_with_first_effects(search: EffectSearch, count: int, last: Fit) -> LinearizedFit | Fit:
-    """Fit with the first effects found; the final fit if that fails."""
+    """Fit with the first effects found; the final fit with all of them, or if that fails."""
+    if count == len(search.reported):
+        return last
     experiment = with_effects(search.current.experiment, search.entries(count), search.current.theta)
     try:
         return linearize_fit(experiment, search.progress)
