@@ -97,11 +97,9 @@ def summary(report: DiagnosisReport) -> str:
 def worse_motion(step: StepReport) -> list[str]:
     """Where a step makes the simulated motion worse, although it predicts the torque better; empty: nowhere.
 
-    The joint that the effect acts on, or all joints if it acts on several, and ``overall``. What a joint does on which
-    the effect does not act is left aside, since it moves with the other joints.
+    The joint that the effect acts on, and ``overall``. Any other joint alone is left aside, since it moves with those.
     """
-    worse = step.evidence.rollout_worse
-    return [name for name in worse if step.joint is None or name in (step.joint, "overall")]
+    return [name for name in step.evidence.rollout_worse if name in (step.joint, "overall")]
 
 
 def worse_motion_sentence(step: StepReport, report: DiagnosisReport) -> str:
