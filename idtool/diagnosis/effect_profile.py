@@ -16,8 +16,9 @@ from idtool.dynamics.effects.named_effect import Cause
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 
-_MAX_SCATTER = 0.2  # of the effect's power within the bins, up to which it is a function of its cause
-_MIN_STRONG_SHARE = 0.01  # quantile of the distances since reversals at which the first bin ends
+_MAX_SCATTER = 0.2  # of the effect's power about its means, up to which it is a function of its cause
+_FIRST_BIN = 0.05  # quantile of the distances since reversals at which the first bin ends
+_DISTANCE_BINS = 40
 
 
 def effect_profile(
@@ -72,7 +73,7 @@ def effect_profile(
         deviation_before=deviation[0],
         mean_after=mean[1],
         deviation_after=deviation[1],
-        effect_torque=mean[2] if _is_function(torques[2, valid], deviation[2]) else None,
+        effect_torque=mean[2] if _is_function(torques[2, valid], np.interp(cause[valid], values, mean[2])) else None,
     )
 
 
@@ -133,15 +134,15 @@ def _edges(cause: Cause, x: Array) -> Array:
         case "velocity":
             return velocity_edges(x)
         case "distance_since_reversal" if len(x) and x.max() > 0:
-            first = max(float(np.quantile(x, _MIN_STRONG_SHARE)), 1e-4 * float(x.max()))
-            return np.concatenate([[0.0], np.geomspace(first, x.max(), STATE_BINS)])
+            first = max(float(np.quantile(x, _FIRST_BIN)), 1e-4 * float(x.max()))
+            return np.concatenate([[0.0], np.geomspace(first, x.max(), _DISTANCE_BINS)])
         case "time":
             return uniform_edges(x, TIME_BINS)
         case _:
             return uniform_edges(x, STATE_BINS)
 
 
-def _is_function(torque: Array, deviation: Array) -> bool:
-    """True if a torque, shape (n,), varies little within the bins."""
-    power = float(np.mean(np.square(torque))) if len(torque) else 0.0
-    return power > 0 and float(np.mean(np.square(deviation))) < _MAX_SCATTER * power
+def _is_function(torque: Array, mean: Array) -> bool:
+    """True if a torque differs little from its mean at the same value of the cause, shape (n,) each."""
+    power = float(np.sum(np.square(torque)))
+    return power > 0 and float(np.sum(np.square(torque - mean))) < _MAX_SCATTER * power
