@@ -12,6 +12,7 @@ import numpy as np
 from idtool.common.notice import Notice, unique
 from idtool.diagnosis.confirmation import coefficient_covariance, contradiction, estimate_on_parts
 from idtool.diagnosis.data_faults import find_data_faults
+from idtool.diagnosis.effect_profile import effect_profile
 from idtool.diagnosis.effect_search import REVERSAL_MARGIN, AddedEffect, EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit, evaluate_errors
 from idtool.diagnosis.generic_probes import UNKNOWN, generic_probes
@@ -279,20 +280,17 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool, stages: 
     for k, effect in enumerate(search.reported):
         current = _fit_with_first_effects(search, k + 1, last)
         theta = current.estimate.theta
-        after = evaluate_errors(current.experiment, theta, False, search.progress)
-        if simulate:
+        after = errors_of_fit(last)
+        if current is not last:
+            after = evaluate_errors(current.experiment, theta, False, search.progress)
+        if simulate and current is not last:
             errors_with_simulation = partial(evaluate_errors, current.experiment, theta, True, search.progress)
             after = stages.run("the simulation", errors_with_simulation, after)
-        locate = partial(
-            localize_residual,
-            previous.experiment,
-            previous.estimate.theta,
-            current.experiment,
-            theta,
-            search.progress,
-        )
+        models = (previous.experiment, previous.estimate.theta, current.experiment, theta)
+        locate = partial(localize_residual, *models, search.progress)
         nowhere = ResidualLocation((effect.chosen.target,) if effect.chosen.joint else (), (), "")
         location = stages.run("the location of a residual", locate, nowhere)
+        draw = partial(effect_profile, effect.entry, *models, search.progress)
         parameters, errors = _parameters(effect, search)
         selection = effect.selection
         alike = [fitted_record(candidate, selection.base) for candidate in selection.indistinguishable]
@@ -310,6 +308,7 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool, stages: 
             before=before,
             after=after,
             sentence="",
+            profile=stages.run("the picture of a step", draw, None),
         )
         steps.append(replace(step, sentence=step_sentence(step, first.experiment.model.units)))
         previous = current
@@ -318,7 +317,9 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool, stages: 
 
 
 def _fit_with_first_effects(search: EffectSearch, count: int, last: Fit) -> LinearizedFit | Fit:
-    """Fit with the first effects found; the final fit if that fails."""
+    """Fit with the first effects found; the final fit with all of them, or if that fails."""
+    if count == len(search.reported):
+        return last
     experiment = with_effects(search.current.experiment, search.entries(count), search.current.theta)
     try:
         return linearize_fit(experiment, search.progress)

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.dynamics.effects import target_name
+from idtool.dynamics.effects.named_effect import Cause
 from idtool.estimation.fit import Fit
 from idtool.robot.config import EffectEntry
 
@@ -114,6 +115,44 @@ class PartEstimate:
 
 
 @dataclass(frozen=True)
+class EffectProfile:
+    """Residual torque of one joint in bins of what causes an effect.
+
+    Attributes
+    ----------
+    joint
+        Name of the joint whose torque it is: the effect's own, or the one on which the effect explains most.
+    cause, cause_joint
+        What the torque is drawn against, see `NamedEffect.cause`, and the joint that it is of.
+    period
+        Period to which a position is reduced [rad or m]; None: it is not.
+    in_direction_of_motion
+        True if the torques are multiplied by the sign of the joint's velocity.
+    values
+        Mean of the cause in each bin, ascending, shape (k,).
+    mean_before, mean_after
+        Mean residual without and with the effect [N·m or N], shape (k,).
+    deviation_before, deviation_after
+        Standard deviation of the residual about its mean [N·m or N], shape (k,).
+    effect_torque
+        Mean torque of the effect, in units of the measured torque, shape (k,); None where it is no function of the
+        cause.
+    """
+
+    joint: str
+    cause: Cause
+    cause_joint: str
+    period: float | None
+    in_direction_of_motion: bool
+    values: Array
+    mean_before: Array
+    deviation_before: Array
+    mean_after: Array
+    deviation_after: Array
+    effect_torque: Array | None
+
+
+@dataclass(frozen=True)
 class DiagnosisStep:
     """An effect that was added, or ``unknown`` for the remaining residual.
 
@@ -145,6 +184,8 @@ class DiagnosisStep:
         What speaks against it, a plain sentence; empty if nothing does.
     parts
         Its size on each log by itself, or on the two halves of the only one; empty if it could not be estimated there.
+    profile
+        Residual against what causes the effect, for drawing; None for ``unknown``.
     """
 
     chosen: Candidate
@@ -162,6 +203,7 @@ class DiagnosisStep:
     sentence: str
     doubt: str = ""
     parts: tuple[PartEstimate, ...] = ()
+    profile: EffectProfile | None = None
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from idtool.diagnosis.residual_series import ResidualSeries, residual_series
 from idtool.diagnosis.spectra import angle_spectrum, power_density
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
-_STATE_BINS = 60
-_TIME_BINS = 120
+STATE_BINS = 60
+TIME_BINS = 120
 _MIN_SAMPLES = 3  # in a bin that is drawn
 _LOW_SPEED = 0.1  # quantile of the speed, below which bins of velocity have one width
 
@@ -43,36 +43,46 @@ def _profile(series: ResidualSeries, j: int, band: float) -> ResidualProfile:
     a = series.a[j, valid]
     tau = series.tau[j, valid]
     variables = {
-        "position": (q, _uniform_edges(q, _STATE_BINS)),
-        "velocity": (v, _velocity_edges(v)),
-        "acceleration": (a, _uniform_edges(a, _STATE_BINS)),
-        "torque": (tau, _uniform_edges(tau, _STATE_BINS)),
-        "time": (series.t[valid], _uniform_edges(series.t, _TIME_BINS)),
+        "position": (q, uniform_edges(q, STATE_BINS)),
+        "velocity": (v, velocity_edges(v)),
+        "acceleration": (a, uniform_edges(a, STATE_BINS)),
+        "torque": (tau, uniform_edges(tau, STATE_BINS)),
+        "time": (series.t[valid], uniform_edges(series.t, TIME_BINS)),
     }
     centers, mean, rms = {}, {}, {}
     for name, (values, edges) in variables.items():
-        centers[name], mean[name], rms[name] = _binned(values, edges, residual[valid])
+        centers[name], mean[name], rms[name] = bin_means(values, edges, residual[valid])
     frequency, density = power_density(residual, valid, series.dt, series.segments, band)
     angle, amplitude = angle_spectrum(residual[valid], q, v, band)
     return ResidualProfile(centers, mean, rms, frequency, np.sqrt(density), angle, amplitude)
 
 
-def _uniform_edges(x: Array, count: int) -> Array:
+def uniform_edges(x: Array, count: int) -> Array:
     """Edges of bins of one width."""
     return np.linspace(float(x.min()), float(x.max()), count + 1) if len(x) else np.zeros(2)
 
 
-def _velocity_edges(v: Array) -> Array:
+def velocity_edges(v: Array) -> Array:
     """Edges of bins of velocity, whose width grows with the speed; zero is an edge."""
     speed = np.abs(v)
     top = float(speed.max(initial=0.0))
     low_speed = float(np.quantile(speed, _LOW_SPEED)) if len(v) else 0.0
     scale = max(low_speed, 1e-3 * top, np.finfo(float).tiny)
-    return np.asarray(scale * np.sinh(np.linspace(-1, 1, _STATE_BINS + 1) * np.arcsinh(top / scale)))
+    return np.asarray(scale * np.sinh(np.linspace(-1, 1, STATE_BINS + 1) * np.arcsinh(top / scale)))
 
 
-def _binned(values: Array, edges: Array, x: Array) -> tuple[Array, Array, Array]:
-    """Centres of bins, and mean and rms of x in each that has enough samples."""
+def bin_means(values: Array, edges: Array, x: Array) -> tuple[Array, Array, Array]:
+    """Centres of bins, and mean and rms of x in each that has enough samples, shape (k,) each.
+
+    Parameters
+    ----------
+    values
+        The variable that is binned, shape (n,).
+    edges
+        Edges of the bins, ascending.
+    x
+        Values of the samples, shape (n,).
+    """
     bins = len(edges) - 1
     index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, bins - 1)
     count = np.bincount(index, minlength=bins)

@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 from idtool.common.notice import Notice
 from idtool.diagnosis.comparison import Comparison
-from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary, ResidualProfile
+from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, EffectProfile, ErrorSummary, ResidualProfile
 from idtool.dynamics.effects import effect_from_entry
 from idtool.reporting.comparison_report import comparison_report
 from idtool.reporting.diagnosis_text import next_steps, summary
@@ -18,10 +18,12 @@ from idtool.reporting.results.diagnosis import (
     CandidateReport,
     DataFault,
     DiagnosisReport,
+    EffectProfileReport,
     ErrorLevel,
     Evidence,
     Location,
     PartReport,
+    ResidualBins,
     ResidualMap,
     ResidualMaps,
     StepReport,
@@ -180,6 +182,21 @@ def _step(step: DiagnosisStep, model: RobotModel) -> StepReport:
         validation_rms_after=plain_data(step.after.torque),
         alternatives=[_candidate(candidate) for candidate in step.alternatives],
         rejected=[_candidate(candidate) for candidate in step.rejected],
+        profile=_profile(step.profile) if step.profile else None,
+    )
+
+
+def _profile(profile: EffectProfile) -> EffectProfileReport:
+    return EffectProfileReport(
+        joint=profile.joint,
+        cause=profile.cause,
+        cause_joint=profile.cause_joint,
+        period=profile.period,
+        in_direction_of_motion=profile.in_direction_of_motion,
+        values=plain_data(profile.values),
+        before=ResidualBins(mean=plain_data(profile.mean_before), deviation=plain_data(profile.deviation_before)),
+        after=ResidualBins(mean=plain_data(profile.mean_after), deviation=plain_data(profile.deviation_after)),
+        effect_torque=plain_data(profile.effect_torque),
     )
 
 

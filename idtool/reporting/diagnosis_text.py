@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping
 
 from idtool.diagnosis.comparison import COMMAND_DELAY
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
+from idtool.reporting.number_text import number
+from idtool.reporting.results.base import ByJointOrNone
 from idtool.reporting.results.diagnosis import (
     AgainstReport,
     CandidateReport,
@@ -82,12 +84,57 @@ def summary(report: DiagnosisReport) -> str:
     rest = f" No known effect explains the remaining residual on {unknown}." if unknown else ""
     doubted = [_effect_on_owner(step) for step in known_steps if step.evidence.doubt]
     rest += f" Doubtful: {_join_words(doubted)}; the notices give the reasons." if doubted else ""
+    if worse := [_effect_on_owner(step) for step in known_steps if worse_motion(step)]:
+        rest += f" The simulated motion gets worse with {_join_words(worse)}{_final_motion(report)}."
     lacking = _join_words([_effect_or_rival(step) for step in known_steps])
     effects = "this effect" if len(known_steps) == 1 else "these effects"
     return (
         f"The model lacks {lacking}. With {effects}, the {which} torque error goes "
         f"from {first:.3g} to {last:.3g} {unit} RMS. The noise floor is {floor}{closed}.{rest}"
     )
+
+
+def worse_motion(step: StepReport) -> list[str]:
+    """Where a step makes the simulated motion worse, although it predicts the torque better; empty: nowhere.
+
+    The joint that the effect acts on, and ``overall``. Any other joint alone is left aside, since it moves with those.
+    """
+    return [name for name in step.evidence.rollout_worse if name in (step.joint, "overall")]
+
+
+def worse_motion_sentence(step: StepReport, report: DiagnosisReport) -> str:
+    """Errors of the simulated motion before and after a step that makes it worse, and those of the final model."""
+    lengths = position_units(report.units)
+    units = {**lengths, "overall": common_unit(lengths)}
+    changes = []
+    for name in worse_motion(step):
+        before = _error(step.evidence.simulation_before, name)
+        after = _error(step.evidence.simulation_after, name)
+        final = _error(report.after.simulation, name)
+        change = f"{_joint_words(name)} {number(before)} → {number(after)} {units[name]}"
+        if final != after:
+            change += f" (final model: {number(final)} {units[name]})"
+        changes.append(change)
+    return f"the simulated motion gets worse at this step: {', '.join(changes)}"
+
+
+def _error(errors: ByJointOrNone | None, name: str) -> float | None:
+    return errors[name] if errors else None
+
+
+def _joint_words(name: str) -> str:
+    return "all joints" if name == "overall" else name
+
+
+def _final_motion(report: DiagnosisReport) -> str:
+    """How the simulated motion of the final model compares with that of the original one; empty: it is not known."""
+    if "overall" in report.rollout_worse:
+        return ", and that of the final model is worse than that of the original one"
+    first = _error(report.before.simulation, "overall")
+    last = _error(report.after.simulation, "overall")
+    if first is None or last is None or last >= first:
+        return ""
+    return ", but that of the final model is better than that of the original one"
 
 
 def against_summary(report: AgainstReport, unit: str, floor: float) -> str:
@@ -148,6 +195,11 @@ def next_steps(report: DiagnosisReport) -> list[str]:
         )
     if "overall" in report.rollout_worse:
         steps.append("Do not simulate with this model yet: its rollouts are worse than those of the original model.")
+    if report.verdict == "explained" and not steps:
+        steps.append(
+            "Check the final model on a log that was not used here: "
+            "idtool validate OUT/identified.urdf LOG --config OUT/model.yaml."
+        )
     return steps
 
 

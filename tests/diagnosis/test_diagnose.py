@@ -74,6 +74,14 @@ def test_friction_that_rises_at_low_speed_is_named_and_closes_the_gap(stribeck: 
     assert after["validation"]["overall"] < 1.05 * floor["overall"] < before["validation"]["overall"]
     assert after["simulation"]["overall"] < before["simulation"]["overall"]
     assert json.loads((folder / "out" / "diagnosis.json").read_text()) == report
+    # The last step leads to the final model, so that its figures are those of the joints.
+    assert step["validation_rms_before"] == before["validation"]
+    assert step["validation_rms_after"] == after["validation"]
+    assert step["evidence"]["simulation_after"] == after["simulation"]
+    profile = step["profile"]
+    assert (profile["joint"], profile["cause"]) == ("shoulder", "velocity")
+    power_before, power_after = (np.sum(np.square(profile[key]["mean"])) for key in ("before", "after"))
+    assert power_after < 0.1 * power_before
 
 
 def test_what_is_written_is_the_model_that_was_found(stribeck: CaseFiles, folder: Path) -> None:

@@ -15,6 +15,7 @@ from idtool.diagnosis.records import (
     Candidate,
     Diagnosis,
     DiagnosisStep,
+    EffectProfile,
     ErrorSummary,
     ResidualLocation,
     ResidualProfile,
@@ -27,6 +28,21 @@ from idtool.robot.urdf.reading import read_robot
 STRIBECK = EffectEntry(effect="stribeck_friction", joint="hip", parameters={"stribeck": 0.0, "velocity": 0.15})
 DELAY = EffectEntry(effect="time_delay", parameters={"delay": 0.005})
 BEHIND = 'a <b>"&{{ 7 * 7 }}'
+
+
+PROFILE = EffectProfile(
+    joint="hip",
+    cause="velocity",
+    cause_joint="hip",
+    period=None,
+    in_direction_of_motion=False,
+    values=np.array([-1.0, -0.1, 0.1, 1.0]),
+    mean_before=np.array([0.1, -0.9, 0.9, -0.1]),
+    deviation_before=np.array([0.1, 0.3, 0.3, 0.1]),
+    mean_after=np.array([0.0, 0.01, -0.01, 0.0]),
+    deviation_after=np.array([0.1, 0.2, 0.2, 0.1]),
+    effect_torque=np.array([0.0, -1.2, 1.2, 0.0]),
+)
 
 
 def fits(folder: Path) -> tuple[Fit, Fit]:
@@ -72,6 +88,7 @@ def step_of(**changes: Any) -> DiagnosisStep:
         "before": level(0.2, 1.3, 0.4),
         "after": level(0.2, 0.6, 0.4, simulated=0.012),
         "sentence": "hip: friction rises below 0.15 rad/s",
+        "profile": PROFILE,
     }
     step = DiagnosisStep(**{**contents, **changes})
     if "chosen" not in changes or "entry" in changes:
@@ -84,7 +101,14 @@ def step_of(**changes: Any) -> DiagnosisStep:
 def unknown_of(before: ErrorSummary) -> DiagnosisStep:
     """What is left on the knee."""
     where = ResidualLocation(("knee",), (), "near the upper end of its travel")
-    alone = {"pair": False, "distinguishing_experiment": "", "alternatives": (), "rejected": (), "significance": 9.0}
+    alone = {
+        "profile": None,
+        "pair": False,
+        "distinguishing_experiment": "",
+        "alternatives": (),
+        "rejected": (),
+        "significance": 9.0,
+    }
     return step_of(
         chosen=candidate("unknown", "knee", score=0.0),
         entry=None,

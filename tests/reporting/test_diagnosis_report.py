@@ -202,9 +202,46 @@ def test_rollouts_that_got_worse_while_torque_got_better(
     diagnosis = replace(found, steps=(step,), before=levels[0], after=levels[1])
     report = report_of(diagnosis)
     assert report["steps"][0]["evidence"]["rollout_worse"] == report["rollout_worse"] == worse
-    red = "\x1b[1;31m   with this effect, the torque is predicted better, but the simulation is worse: abad 0.0300 → "
+    red = "\x1b[1;31m   the simulated motion gets worse at this step: hip 0.0300 → "
     assert (red in said(diagnosis, color=True)) == bool(worse)
+    assert ("(worse)" in next(line for line in said(diagnosis).splitlines() if line.startswith("1 "))) == bool(worse)
+    wanted = "The simulated motion gets worse with Stribeck friction on hip, and that of the final model is worse than"
+    assert (wanted in report["summary"]) == bool(worse)
     assert any("Do not simulate" in text for text in report["next"]) == bool(worse)
+
+
+def motion(**errors: float) -> ErrorSummary:
+    """Errors of a model, with those of its simulated motion by name."""
+    return replace(level(0.2, 0.6, 0.4), simulation={**dict.fromkeys((*JOINTS, "overall"), 0.03), **errors})
+
+
+def test_a_step_with_worse_motion_is_told_apart_from_the_final_model(found: Diagnosis) -> None:
+    """The motion of the joint that the effect acts on, or of all, counts; not that of another joint."""
+    before = replace(motion(), validation=level(0.2, 1.3, 0.4).validation)
+    worse = replace(motion(hip=0.05, overall=0.04), validation=level(0.2, 1.0, 0.4).validation)
+    steps = (step_of(before=before, after=worse), step_of(before=worse, after=motion(overall=0.02)))
+    diagnosis = replace(found, before=before, after=motion(overall=0.02), steps=steps)
+    sentence = "the simulated motion gets worse at this step: hip 0.0300 → 0.0500 rad (final model: 0.0300 rad), "
+    assert f"{sentence}all joints 0.0300 → 0.0400 rad (final model: 0.0200 rad)" in said(diagnosis)
+    assert report_of(diagnosis)["summary"].endswith(
+        "The simulated motion gets worse with Stribeck friction on hip, but that of the final model is better than "
+        "that of the original one."
+    )
+    elsewhere = replace(
+        found, before=before, after=motion(knee=0.05), steps=(step_of(before=before, after=motion(knee=0.05)),)
+    )
+    assert report_of(elsewhere)["steps"][0]["evidence"]["rollout_worse"] == ["knee"]
+    assert "motion gets worse" not in said(elsewhere)
+
+
+def test_a_step_has_its_picture_in_bins(found: Diagnosis) -> None:
+    step, unknown = report_of(faulty(found))["steps"]
+    assert unknown["profile"] is None
+    profile = step["profile"]
+    assert {"joint": "hip", "cause": "velocity", "cause_joint": "hip", "period": None}.items() <= profile.items()
+    assert profile["values"] == [-1.0, -0.1, 0.1, 1.0]
+    assert profile["before"] == {"mean": [0.1, -0.9, 0.9, -0.1], "deviation": [0.1, 0.3, 0.3, 0.1]}
+    assert profile["effect_torque"] == [0.0, -1.2, 1.2, 0.0]
 
 
 def test_without_held_out_data_the_training_error_stands_in(found: Diagnosis) -> None:
@@ -262,6 +299,8 @@ def test_what_to_do_next(found: Diagnosis) -> None:
     wanted = "To distinguish Stribeck friction on hip from load-dependent friction on hip: slow strokes of the hip"
     assert second.startswith(wanted)
     assert third.startswith("The remaining residual on knee is not explained by any known effect")
+    (text,) = report_of(replace(found, steps=(step_of(pair=False, alternatives=()),)))["next"]
+    assert text.startswith("Check the final model on a log that was not used here: idtool validate")
 
 
 def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> None:

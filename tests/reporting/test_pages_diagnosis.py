@@ -9,7 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import JOINTS
-from diagnoses import BEHIND, STRIBECK, candidate, diagnosis_of, faulty, fits, level, residual, step_of, unknown_of
+from diagnoses import (
+    BEHIND,
+    PROFILE,
+    STRIBECK,
+    candidate,
+    diagnosis_of,
+    faulty,
+    fits,
+    level,
+    residual,
+    step_of,
+    unknown_of,
+)
 from pages import SCRIPT, Page, complete, evaluation_of, notice_of
 from records import partial
 from rollouts import experiment_of, rollouts_of
@@ -90,9 +102,8 @@ def test_the_findings_say_how_far_to_trust_them(found: Diagnosis) -> None:
     assert "The model lacks Stribeck friction on hip (or load-dependent friction on hip) and a time delay" in page.plain
     assert "The data cannot distinguish it from load-dependent friction on hip." in page.plain
     assert "Its gain on data not used for fitting is 21 times its standard error." in page.plain
-    assert (
-        "position error of the simulation is 0.0110 rad RMS with the effects and 0.0300 rad without them." in page.plain
-    )
+    rollouts = "simulation is 0.0110 rad RMS for the final model and 0.0300 rad for the original model."
+    assert f"position error of the {rollouts}" in page.plain
     page = page_of(faulty(found))
     assert page.levels[:5] == ["bad", "note", "note", "good", "bad"]  # the fault first; the unknown
     assert f"velocity lag: {BEHIND}" in page.plain
@@ -109,13 +120,15 @@ def test_a_doubt_stands_at_its_step(found: Diagnosis) -> None:
 def test_rollouts_that_got_worse_are_called_so(found: Diagnosis) -> None:
     worse = level(0.2, 0.55, 0.35, simulated=0.04)
     first, second = found.steps
+    assert "motion gets worse" not in page_of(found).plain
     page = page_of(replace(found, steps=(first, replace(second, after=worse)), after=worse))
     assert page.levels[:4] == ["good", "note", "note", "bad"]
     assert "Do not simulate with this model." in page.plain
-    assert (
-        "With this effect, the torque is predicted better, but the simulation is worse for abad, hip, knee, overall."
-        in page.plain
-    )
+    change = "all joints 0.0120 → 0.0400 rad"
+    sentence = f"the torque is predicted better, but the simulated motion gets worse at this step: {change}."
+    assert page.plain.count(sentence) == 2  # among the findings, and at the step
+    assert "2. Time delay on all joints: the simulated motion gets worse" in page.plain
+    assert "1. Stribeck friction on hip: the simulated" not in page.plain
     assert page.tags.count(("td", {"class": "bad"})) == 1 + len(JOINTS) + 1  # of the step, and of all joints
     assert ("td", {"class": "bad"}) not in page_of(found).tags
 
@@ -273,6 +286,75 @@ def test_parameters_in_words(values: dict[str, Any], errors: dict[str, Any], tex
     ]
 
 
+def test_what_to_do_next_stands_beside_the_verdict(found: Diagnosis) -> None:
+    page = page_of(faulty(found))
+    verdict, next_steps, steps = (page.plain.index(text) for text in ("Partly explained.", "What to do", "The steps"))
+    assert verdict < next_steps < page.plain.index("Its gain on data not used") < steps
+    assert page.plain.count("What to do next") == 1
+
+
+def test_a_step_is_one_picture(found: Diagnosis) -> None:
+    first, _ = found.steps
+    page = page_of(replace(found, steps=(first, unknown_of(first.after))))
+    (picture,) = page.figures_of("Residual torque of ")
+    axis = "velocity [rad/s]"
+    assert picture.label == f"Residual torque of hip against {axis}, before and after adding Stribeck friction on hip"
+    assert picture.titles == ["residual [N·m]", axis]
+    assert picture.names == ["before", "after", "Stribeck friction alone"]
+    assert picture.y("before") == [0.1, -0.9, 0.9, -0.1]
+    assert picture.y("after") == [0.0, 0.01, -0.01, 0.0]
+    assert picture.y("Stribeck friction alone") == [0.0, -1.2, 1.2, 0.0]
+    below, above = picture.data[:2]
+    assert below["y"] == pytest.approx([0.0, -1.2, 0.6, -0.2])
+    assert above["y"] == pytest.approx([0.2, -0.6, 1.2, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "titles", "names"),
+    [
+        (
+            {"cause": "distance_since_reversal", "in_direction_of_motion": True},
+            ["residual along the motion [N·m]", "distance since the last reversal [rad]"],
+            ["before", "after", "Stribeck friction alone"],
+        ),
+        (
+            {"cause": "torque", "cause_joint": "knee", "effect_torque": None},
+            ["residual [N·m]", "torque of knee [N·m]"],
+            ["before", "after"],
+        ),
+        (
+            {"cause": "position", "period": 0.2},
+            ["residual [N·m]", "position within one period [rad]"],
+            ["before", "after", "Stribeck friction alone"],
+        ),
+    ],
+)
+def test_the_picture_says_what_the_torque_is_drawn_against(
+    found: Diagnosis, changes: dict[str, Any], titles: list[str], names: list[str]
+) -> None:
+    (picture,) = page_of(
+        replace(found, steps=(replace(found.steps[0], profile=replace(PROFILE, **changes)),))
+    ).figures_of("Residual torque of ")
+    assert (picture.titles, picture.names) == (titles, names)
+    assert (picture.layout["xaxis"].get("type") == "log") == (changes["cause"] == "distance_since_reversal")
+
+
+def test_what_was_tried_and_lost_is_folded_and_grouped(found: Diagnosis) -> None:
+    weak = [candidate("backlash", joint, score, "too weak") for joint, score in (("abad", 0.1), ("knee", 0.2))]
+    step = step_of(rejected=(*weak, candidate("end_stop", reason="too weak")), alternatives=(candidate("viscous"),))
+    page = page_of(replace(found, steps=(step,)))
+    assert "Tried and lost: 4 other candidates" in page.plain
+    fold = page.html.index("<summary>Tried and lost")
+    assert page.html.rindex("<details", 0, fold) == page.html.rindex("<details>", 0, fold)  # closed
+    first = page.rows.index(["effect", "on", "residual explained", "parameters", "why it lost"]) + 1
+    assert [row[:3] for row in page.rows[first : first + 3]] == [
+        ["viscous", "hip", "40.0 ± 3.0 %"],
+        ["end stop", "hip", "40.0 ± 3.0 %"],
+        ["backlash", "knee, abad", "20.0 ± 3.0 %"],
+    ]
+    assert page.rows[first][-1].startswith("explains nearly as much")
+
+
 def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.random.Generator) -> None:
     """Twelve joints, eight steps and some hundred candidates each."""
     joints = [f"joint number {j}" for j in range(12)]
@@ -283,10 +365,12 @@ def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.rando
     rms = dict.fromkeys([*joints, "overall"], 0.5)
     report["before"] = report["after"] = dict.fromkeys(("train", "validation", "simulation"), rms)
     other = diagnosis_report(
-        replace(found, steps=(step_of(rejected=(candidate("backlash", reason="x" * 80),) * 200),)), "refit"
+        replace(found, steps=(step_of(rejected=tuple(candidate("backlash", reason=f"{i:080}") for i in range(200))),)),
+        "refit",
     )
     step = {**other.steps[0].model_dump(mode="json"), "validation_rms_before": rms, "validation_rms_after": rms}
     step["evidence"] = {**step["evidence"], "simulation_before": rms, "simulation_after": rms}
+    step["profile"] = {**step["profile"], "joint": joints[0], "cause_joint": joints[0]}
     body = next(iter(report["bodies"].values()))
     report |= {"joints": joints, "units": units, "steps": [step] * 8, "bodies": {f"body {i}": body for i in range(30)}}
     curves = {name: rng.normal(size=(12, 4000)) for name in ("measured", "identified")}
@@ -300,7 +384,7 @@ def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.rando
     complete(page)
     for joint in joints:
         assert len(page.figures_of(f"Residual of {joint} against")) == 6
-    assert "more are listed in diagnosis.json" in page.text
+    assert "171 more are listed in diagnosis.json" in page.text  # of 201
 
 
 def test_what_is_left_is_said_even_where_nothing_was_found(leg: tuple[Fit, Fit]) -> None:

@@ -50,6 +50,8 @@ class Backlash(FixedJointEffect):
     id = "backlash"
     description = "play decouples the load after each reversal of the torque"
     excitation_hint = "fast and slow reversals of the transmitted torque"
+    cause = "distance_since_reversal"
+    follows_direction = True
     nonlinear_parameters = (
         NonlinearParameter("width", ("rad", "m"), positive=True),
         NonlinearParameter("motor_friction", optional_maximum=1.0),

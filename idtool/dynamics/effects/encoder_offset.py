@@ -25,6 +25,7 @@ class EncoderOffset(FixedJointEffect):
     id = "encoder_offset"
     is_countable = True
     description = "the zero position of the encoder differs from that of the joint"
+    cause = "position"
     excitation_hint = (
         "standstill at positions over the whole travel, also with the base turned over or tilted by a known angle"
     )

@@ -31,6 +31,7 @@ class EndStop(JointTerm):
     is_countable = True
     description = "an elastic end stop acts beyond a position"
     excitation_hint = "slow motion into the end stop and out of it"
+    cause = "position"
     generalizes = ("parallel_spring", "torque_offset")
     coefficient_name = "stiffness"
     units = ("N·m/rad", "N/m")

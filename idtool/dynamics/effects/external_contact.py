@@ -51,6 +51,7 @@ class ExternalContact(LinkEffect):
     id = "external_contact"
     description = "an external force or moment acts on the link"
     excitation_hint = "the same motion with and without contact"
+    cause = "time"
     acts_in_bursts = True
     parameter_names = ("windows", "wrench")
 

@@ -55,6 +55,8 @@ class FrictionDrift(JointTerms):
     id = "friction_drift"
     description = "friction changes over the log"
     excitation_hint = "the same motion, repeated after warm-up"
+    cause = "time"
+    follows_direction = True
     generalizes = ("viscous_friction", "coulomb_friction")
     is_friction = True
     requires = ("coulomb_friction", "presliding_hysteresis")

@@ -39,6 +39,7 @@ class GravityTilt(FixedEffect):
     whole_robot_owner = "the base"
     description = "the base is not level"
     excitation_hint = "standstill in many postures of the first joints"
+    cause = "position"
 
     def __init__(self, model: RobotModel, gravity: Array) -> None:
         super().__init__(model)

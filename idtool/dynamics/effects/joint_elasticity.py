@@ -48,6 +48,7 @@ class JointElasticity(FixedJointEffect):
     id = "joint_elasticity"
     description = "the joint is elastic under load"
     excitation_hint = "quick reversals at high and at low load"
+    cause = "acceleration"
     order = 1
     uses_measured_torque = True
     acts_at_reversals = True

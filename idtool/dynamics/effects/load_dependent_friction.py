@@ -18,6 +18,8 @@ class LoadDependentFriction(LoadDependentTerm, DryFriction):
     label = "load-dependent friction"
     description = "friction grows with the load"
     excitation_hint = "the same slow sweep with another load"
+    cause = "torque"
+    follows_direction = True
     coefficient_name = "coefficient"
     units = ("1", "1")
     upper = 0.6  # a transmission with more is self-locking

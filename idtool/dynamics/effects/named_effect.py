@@ -21,6 +21,9 @@ from idtool.robot.config import EffectEntry
 from idtool.robot.model import RobotModel
 
 ParameterValue = tuple[float, float | None]  # and its standard error; None: not known
+Cause = Literal[
+    "position", "velocity", "acceleration", "torque", "torque_rate", "distance_since_reversal", "time"
+]  # of a torque
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,10 @@ class NamedEffect(Effect):
         Simpler effects that it can imitate. They are preferred unless the data insist.
     requires
         Effects of which the joint must have at least one, since this effect modifies them.
+    cause
+        What a diagnosis draws its torque against. The torque is that of the actuator as the model predicts it.
+    follows_direction
+        True if its torque changes its sign with the direction of motion, and is drawn along this direction.
     min_explained_share
         Share of a joint's squared residual that it must explain to be reported, where its column contains the
         residual's own noise.
@@ -115,6 +122,8 @@ class NamedEffect(Effect):
     nonlinear_parameters: tuple[NonlinearParameter, ...] = ()
     generalizes: tuple[str, ...] = ()
     requires: tuple[str, ...] = ()
+    cause: Cause = "velocity"
+    follows_direction: bool = False
     min_explained_share: float = 0.0
     is_friction: bool = False
     acts_at_reversals: bool = False
@@ -211,6 +220,16 @@ class NamedEffect(Effect):
         covariance
             Covariance of their errors, shape (m, m); infinite where it is not known.
         """
+
+    @property
+    def cause_joint(self) -> int | None:
+        """Index of the joint that the `cause` is of; None: the one whose torque is drawn."""
+        return None
+
+    @property
+    def cause_period(self) -> float | None:
+        """Period of the torque over the position, if that is the `cause` [rad or m]; None: it has none."""
+        return None
 
     def parameter_units(self) -> dict[str, str]:
         """Unit of each parameter; "1" for one without."""

@@ -25,6 +25,7 @@ class ParallelSpring(JointTerm):
     is_countable = True
     description = "a spring acts across the joint"
     excitation_hint = "slow motion over the whole travel"
+    cause = "position"
     generalizes = ("torque_offset",)
     coefficient_name = "stiffness"
     is_commonplace = True

@@ -62,6 +62,7 @@ class Payload(LinkEffect):
     is_countable = True
     description = "the link carries a mass that the model does not have"
     excitation_hint = "quick and slow motion in many postures"
+    cause = "position"
     parameter_names = ("mass", "com", "inertia")
 
     def __init__(self, model: RobotModel, link: str, frame: Frame, pi: Array) -> None:

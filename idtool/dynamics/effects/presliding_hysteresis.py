@@ -37,6 +37,8 @@ class PreslidingHysteresis(JointTerm):
     id = "presliding_hysteresis"
     description = "friction builds up over a displacement after each reversal"
     excitation_hint = "small reversals of several amplitudes"
+    cause = "distance_since_reversal"
+    follows_direction = True
     generalizes = ("coulomb_friction",)
     coefficient_name = "amplitude"
     is_friction = True

@@ -18,6 +18,7 @@ class RotorInertia(JointTerm):
     id = "rotor_inertia"
     description = "a rotor is missing from the model"
     excitation_hint = "quick motion of the joint in several postures"
+    cause = "acceleration"
     coefficient_name = "inertia"
     is_commonplace = True
     is_rotor_inertia = True

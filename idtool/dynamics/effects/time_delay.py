@@ -50,6 +50,7 @@ class TimeDelay(FixedEffect):
     is_countable = True
     description = "the torque is recorded with a delay relative to the position (earlier if the delay is negative)"
     excitation_hint = "quick motion with sharp changes of torque"
+    cause = "torque_rate"
     init_trial = InitSearch(
         name="a delay",
         heading="torque delay",

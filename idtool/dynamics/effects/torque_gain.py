@@ -26,6 +26,7 @@ class TorqueGain(TorqueSensorEffect):
     is_countable = True
     description = "the measured torque is a multiple of the true one"
     excitation_hint = "the same motion with and without a known mass on the last link"
+    cause = "torque"
     nonlinear_parameters = (NonlinearParameter("gain", positive=True),)
 
     @classmethod

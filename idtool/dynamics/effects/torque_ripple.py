@@ -57,6 +57,7 @@ class TorqueRipple(JointTerms):
     id = "torque_ripple"
     description = "the torque varies periodically with the angle"
     excitation_hint = "slow motion over the whole travel at several speeds"
+    cause = "position"
     generalizes = ("parallel_spring", "end_stop", "torque_offset")
     nonlinear_parameters = (
         NonlinearParameter(
@@ -108,6 +109,11 @@ class TorqueRipple(JointTerms):
         amplitude_error = float(np.sqrt(amplitude_gradient @ covariance @ amplitude_gradient))
         phase_error = float(np.sqrt(phase_gradient @ covariance @ phase_gradient))
         return {"amplitude": (amplitude, amplitude_error), "phase": (phase, phase_error)}
+
+    @property
+    @override
+    def cause_period(self) -> float:
+        return float(2 * np.pi / self.nonlinear_values["periods"])
 
     @override
     def parameter_units(self) -> dict[str, str]:

@@ -37,6 +37,7 @@ class TorqueSaturation(TorqueSensorEffect):
     id = "torque_saturation"
     description = "the measured torque saturates at high load"
     excitation_hint = "standstill and slow motion at high and at low load"
+    cause = "torque"
     generalizes = ("torque_gain",)
     nonlinear_parameters = (
         NonlinearParameter("level", ("N·m", "N"), positive=True),

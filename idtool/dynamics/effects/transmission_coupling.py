@@ -28,6 +28,7 @@ class TransmissionCoupling(LoadDependentTerm):
     id = "transmission_coupling"
     description = "part of another joint's torque acts on this one"
     excitation_hint = "motion of each joint alone"
+    cause = "torque"
     coefficient_name = "coefficient"
     lower = -np.inf
     even = False
@@ -48,6 +49,11 @@ class TransmissionCoupling(LoadDependentTerm):
         receiver_is_prismatic = model.joints[joint].kind == "prismatic"
         source_is_prismatic = model.joints[source].kind == "prismatic"
         return _UNITS[receiver_is_prismatic, source_is_prismatic]
+
+    @property
+    @override
+    def cause_joint(self) -> int:
+        return int(self.nonlinear_values["source"])
 
     @override
     def column(self, motion: Motion) -> Array:

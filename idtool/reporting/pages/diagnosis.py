@@ -10,13 +10,21 @@ from typing import Any
 from idtool.diagnosis.records import Diagnosis
 from idtool.estimation.evaluation.envelope import Trace
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
-from idtool.reporting.diagnosis_text import UNKNOWN, effect_name, owner_name, position_units
+from idtool.reporting.diagnosis_text import (
+    UNKNOWN,
+    effect_name,
+    owner_name,
+    position_units,
+    worse_motion,
+    worse_motion_sentence,
+)
 from idtool.reporting.number_text import number, rows_by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.bodies import report_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
 from idtool.reporting.pages.simulation import simulation_view
 from idtool.reporting.pages.uncertainty import uncertainty_view
+from idtool.reporting.plots.effect_profile import effect_profile_figure
 from idtool.reporting.plots.gap import gap_figures
 from idtool.reporting.plots.log_series import LogFigures, log_figures, log_series
 from idtool.reporting.plots.residuals import residual_figures
@@ -47,7 +55,7 @@ _SECTIONS = (
 _MODEL_NAMES = ("before", "after")
 _MODELS_TEXT = "the original model and of the model with the effects"
 _MAX_VALUES = 50_000  # that all curves of torque hold together: some 400 kB of text
-_MAX_ROWS = 30  # candidates of a step that are listed
+_MAX_ROWS = 30  # of a step's table of candidates
 _VERDICTS = {
     "no_disagreement": ("good", "No disagreement"),
     "explained": ("good", "Explained"),
@@ -91,11 +99,10 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
         groups=rows_by_unit(units),
         position_unit=position_units(units),
         verdict=_VERDICTS[report.verdict],
-        cards=[_step_view(i, step) for i, step in enumerate(report.steps, 1)],
+        cards=[_step_view(i, step, report) for i, step in enumerate(report.steps, 1)],
         held_out=held_out,
         worst=_worst_joint(report),
-        near=CandidatesSection("Candidates that explain nearly as much"),
-        others=CandidatesSection("Other candidates"),
+        lost=CandidatesSection("Effects that were tried in this step", _MAX_ROWS),
         **{
             "position_groups": rows_by_unit(position_units(units)),
             **simulation_view(rollouts, simulation, "identified"),
@@ -112,7 +119,7 @@ def _worst_joint(report: DiagnosisReport) -> str | None:
     return max(report.joints, key=lambda joint: (before[joint] or 0.0) / (floor[joint] or 1.0), default=None)
 
 
-def _step_view(index: int, step: StepReport) -> dict[str, Any]:
+def _step_view(index: int, step: StepReport, report: DiagnosisReport) -> dict[str, Any]:
     """Template variables of a step."""
     known = step.effect != UNKNOWN
     return {
@@ -125,8 +132,10 @@ def _step_view(index: int, step: StepReport) -> dict[str, Any]:
         "texts": parameter_texts(step),
         "windows": [f"{number(a, 4)} to {number(b, 4)} s" for a, b in step.where.windows],
         "near": [(effect_name(rival.effect), owner_name(rival)) for rival in step.alternatives],
-        "others": step.rejected[:_MAX_ROWS],
-        "hidden": max(len(step.rejected) - _MAX_ROWS, 0),
+        "step": step,
+        "lost_count": len(step.alternatives) + len(step.rejected),
+        "picture": effect_profile_figure(step, report.units),
+        "worse": _with_full_stop(worse_motion_sentence(step, report)) if worse_motion(step) else "",
     }
 
 

@@ -1,11 +1,11 @@
-"""The gap between model and data closing step by step."""
+"""The gap between model and data closing step by step, as a staircase down to the noise floor."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from idtool.reporting.diagnosis_text import UNKNOWN, common_unit, effect_name, owner_name, position_units
-from idtool.reporting.plots.figure import MEDIUM, SHORT, Figure, Panel, Values, curve, figure
+from idtool.reporting.plots.figure import MEDIUM, SHORT, Figure, Panel, PlotlyTrace, Values, curve, figure
 from idtool.reporting.plots.sampling import round_significant
 from idtool.reporting.results.diagnosis import DiagnosisReport
 
@@ -76,20 +76,27 @@ def gap_figure(
     """
     at = list(range(len(models)))
     ends = [-0.3, len(at) - 0.7]
-    marked: dict[str, Any] = {"text": models, "hoverinfo": "y+text", "mode": "lines+markers", "marker": {"size": 7}}
-    torques = [curve("torque", at, torque[0], "c5", **marked)]
+    torques = [_staircase("torque", at, torque[0], "c5", models)]
     if floor is not None:
         torques.append(curve("noise floor", ends, [floor, floor], "quiet", 2, "dot", hoverinfo="skip"))
     zero = {"rangemode": "tozero"}
     domain = (0.0, 1.0) if rollout is None else (0.55, 1.0)
     panels = [Panel(f"torque [{_unit_text(torque[1])}]", torques, domain=domain, axis=zero)]
     if rollout is not None:
-        errors = [curve("simulation", at, rollout[0], "c2", **marked)]
+        errors = [_staircase("simulation", at, rollout[0], "c2", models)]
         panels.append(Panel(f"position [{_unit_text(rollout[1])}]", errors, domain=(0, 0.45), axis=zero))
     steps = [_step_label(i, model) for i, model in enumerate(models)]
     x_axis = {"range": ends, "tickvals": at, "ticktext": steps, "zeroline": False}
     description = f"Errors of {name} by step, against the noise floor"
     return figure(name, "step", panels, description, height, x_axis=x_axis)
+
+
+def _staircase(name: str, at: list[int], errors: Values, color: str, models: list[str]) -> PlotlyTrace:
+    """A level for each model, from half a step before its mark to half a step behind it."""
+    marks: dict[str, Any] = {"text": models, "hoverinfo": "y+text", "mode": "lines+markers", "marker": {"size": 7}}
+    stairs = curve(name, at, errors, color, **marks)
+    stairs["line"]["shape"] = "hvh"
+    return stairs
 
 
 def _step_label(i: int, model: str) -> str:

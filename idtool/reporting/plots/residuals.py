@@ -16,11 +16,13 @@ _MIN_POINTS = 12  # of a curve
 _MAX_POINTS = 200
 _CURVES_PER_JOINT = 38  # of a joint: 2 models, each with 5 views of 3 and 2 spectra of 2
 _COLORS = ("c1", "c5")  # of the two models
-_AXES = {
+AXES = {
     "position": "position [{q}]",
     "velocity": "velocity [{q}/s]",
     "acceleration": "acceleration [{q}/s²]",
     "torque": "torque [{tau}]",
+    "torque_rate": "rate of change of torque [{tau}/s]",
+    "distance_since_reversal": "distance since the last reversal [{q}]",
     "time": "time [s]",
 }
 
@@ -90,7 +92,7 @@ def _bin_figure(
         mean = round_significant(residual.mean[name][kept].tolist())
         rms = round_significant(residual.rms[name][kept].tolist())
         curves += [curve(f"mean {model}", at, mean, color, 1.6), curve(f"RMS {model}", at, rms, color, 1.6, "dot")]
-    return _figure(joint, _AXES.get(name, name).format(q=q, tau=tau), f"residual [{tau}]", curves, names)
+    return _figure(joint, AXES.get(name, name).format(q=q, tau=tau), f"residual [{tau}]", curves, names)
 
 
 def _density_figure(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+from idtool.dynamics.effects.named_effect import Cause
 from idtool.reporting.results.base import (
     ByJointOrNone,
     Keys,
@@ -77,8 +78,12 @@ class Evidence(Record):
     significance: float | None = field("Gain in standard errors.")
     pair: bool = field("Whether the data cannot distinguish it from the first alternative.")
     separate: str = field("Experiment that would distinguish the two effects; empty without a pair.")
-    simulation_before: ByJointOrNone | None = field("Position error of the rollouts before the step [rad or m].")
-    simulation_after: ByJointOrNone | None = field("Position error of the rollouts after the step.")
+    simulation_before: ByJointOrNone | None = field(
+        "Position error of rollouts of the model before the step [rad or m]."
+    )
+    simulation_after: ByJointOrNone | None = field(
+        "Position error of rollouts of the model after the step; that of the model with all steps is in `after`."
+    )
     rollout_worse: tuple[str, ...] = field(
         "Joints whose simulation is worse although their torque is predicted better."
     )
@@ -98,6 +103,32 @@ class PartReport(Record):
     standard_error: float = field("Its standard error.")
 
 
+class ResidualBins(Record):
+    """A joint's residual torque in bins of a quantity."""
+
+    mean: Vector = field("Mean in each bin [N·m or N].")
+    deviation: Vector = field("Standard deviation about the mean.")
+
+
+class EffectProfileReport(Record):
+    """A joint's residual torque against what causes an effect, for plots."""
+
+    joint: str = field("The joint whose torque it is.")
+    cause: Cause = field(
+        "What it is drawn against: a state of the joint, the torque that the model predicts and its rate [N·m/s or "
+        "N/s], the distance since the joint's last reversal, or the time since the start of the first log."
+    )
+    cause_joint: str = field("The joint whose state or torque that is.")
+    period: float | None = field("Period to which the position is reduced [rad or m]; null: it is not.")
+    in_direction_of_motion: bool = field("Whether the torques are multiplied by the sign of the joint's velocity.")
+    values: Vector = field("Mean of the cause in each bin.")
+    before: ResidualBins = field("Residual of the model before the step.")
+    after: ResidualBins = field("Residual of the model after the step.")
+    effect_torque: Vector | None = field(
+        "Mean torque of the effect in each bin [N·m or N]; null if it is not a function of the cause."
+    )
+
+
 class StepReport(EffectReport):
     """An effect that was added to the model."""
 
@@ -108,6 +139,7 @@ class StepReport(EffectReport):
     validation_rms_after: ByJointOrNone = field("Held-out torque error after the step.")
     alternatives: tuple[CandidateReport, ...] = field("Candidates that explain nearly as much.")
     rejected: tuple[CandidateReport, ...] = field("All other candidates.")
+    profile: EffectProfileReport | None = field("Residual against what causes the effect; null for `unknown`.")
 
     @property
     def sentence(self) -> str:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from typing_extensions import override
 
-from idtool.reporting.diagnosis_text import UNKNOWN, common_unit, effect_name, owner_name, position_units
+from idtool.reporting.diagnosis_text import (
+    UNKNOWN,
+    common_unit,
+    effect_name,
+    owner_name,
+    position_units,
+    worse_motion,
+)
 from idtool.reporting.number_text import number, with_error
 from idtool.reporting.results.base import ByJointOrNone
 from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, StepReport
@@ -25,13 +32,14 @@ from idtool.reporting.sections.base import (
 )
 
 _MAX_INCREASE = 1.02  # times the torque error before
+_NO_REASON = "explains nearly as much; the chosen effect is simpler, likelier or explains more"
 _EXPLAINED = "Percentage of the squared residual that the effect removes on data not used for fitting"
 
 
 class StepsSection(Section[DiagnosisReport]):
     """The effects that were added to the model, in order."""
 
-    title = "Effects that the model lacks, step by step"
+    title = "Effects that the model lacks, step by step; errors before → after each step"
 
     @override
     def table(self, report: DiagnosisReport) -> Table | None:
@@ -45,7 +53,10 @@ class StepsSection(Section[DiagnosisReport]):
             Column("on", kind="words", attached=True),
             Column("parameters", kind="words"),
             Column(f"{data} error, {common_unit(report.units)}"),
-            Column(f"simulation error, {common_unit(position_units(report.units))}"),
+            Column(
+                f"simulation error, {common_unit(position_units(report.units))}",
+                help="Position error of the simulation, of the model before and after this step",
+            ),
             Column("residual explained", help=_EXPLAINED),
             Column("gain / se", help="Gain divided by its standard error", attached=True),
             Column("alternative", kind="words", help="Effect that the data cannot distinguish from this one"),
@@ -54,14 +65,18 @@ class StepsSection(Section[DiagnosisReport]):
         for i, step in steps:
             evidence = step.evidence
             rival = step.alternatives[0] if evidence.pair and step.alternatives else None
-            worse: Emphasis | None = "bad" if evidence.rollout_worse else None
+            simulation = change_text(evidence.simulation_before, evidence.simulation_after)
+            worse: Emphasis | None = None
+            if worse_motion(step):
+                simulation += " (worse)"
+                worse = "bad"
             row = [
                 Cell(str(i)),
                 Cell(effect_name(step.effect)),
                 Cell(owner_name(step)),
                 Cell(", ".join(parameter_texts(step))),
                 Cell(change_text(step.validation_rms_before, step.validation_rms_after)),
-                Cell(change_text(evidence.simulation_before, evidence.simulation_after), None, worse),
+                Cell(simulation, None, worse),
                 Cell(score_text(evidence.score, evidence.standard_error), evidence.score),
                 number_cell(evidence.significance, 2),
                 Cell(f"{effect_name(rival.effect)} on {owner_name(rival)}" if rival else ""),
@@ -98,7 +113,14 @@ class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
             Column("after, training data", page_only=True),
         ]
         if rollouts:
-            columns += [Column("simulation before"), Column("simulation after", attached=True)]
+            columns += [
+                Column("simulation before", help="Position error of the simulation of the original model"),
+                Column(
+                    "simulation after",
+                    help="Position error of the simulation of the final model, with all effects",
+                    attached=True,
+                ),
+            ]
         rows = []
         for name in (*report.joints, "overall"):
             row = [Cell(name)]
@@ -113,7 +135,8 @@ class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
             if rollouts:
                 row += [number_cell(rollouts[0][name], 3), _rollout_cell(report, rollouts[1][name], name)]
             rows.append(row)
-        title = f"RMS torque error{' on held-out data' if is_held_out else ''}, {common_unit(report.units)}"
+        title = f"Original and final model: RMS torque error{' on held-out data' if is_held_out else ''}"
+        title += f", {common_unit(report.units)}"
         if rollouts:
             title += f"; position error of the simulation, {common_unit(lengths)}"
         return Table(title, columns, rows, key_columns=1 + is_mixed)
@@ -123,9 +146,10 @@ class ErrorsBeforeAfterSection(Section[DiagnosisReport]):
         fixed = " with the URDF's inertia" if report.inertia == "fixed" else ""
         return (
             f"Root mean square; torque errors are in the band up to {report.band_hz:g} Hz. Before: the original model, "
-            f"fitted{fixed}, without the effects found. Noise floor: the error that no model can go below on these "
-            "data. Gap closed: reduction of the error, relative to its initial distance from the noise floor; –: this "
-            "distance was almost zero."
+            f"fitted{fixed}, without the effects found. After: the final model, with all of them; the figures of a "
+            "step are those of the model with the effects up to that step. Noise floor: the error that no model can go "
+            "below on these data. Gap closed: reduction of the error, relative to its initial distance from the noise "
+            "floor; –: this distance was almost zero."
         )
 
 
@@ -137,34 +161,57 @@ def _rollout_cell(report: DiagnosisReport, error: float | None, name: str) -> Ce
 
 
 @dataclass(frozen=True)
-class CandidatesSection(Section[Sequence[CandidateReport]]):
-    """Candidates of a step that were not chosen, and why.
+class CandidatesSection(Section[StepReport]):
+    """Effects that were tried in a step and lost, and why; joints and links with the same reason share a row.
 
     Attributes
     ----------
     title
         Its heading.
+    max_rows
+        Largest number of rows; None: all.
     """
 
     title: str
+    max_rows: int | None = None
 
     @override
-    def table(self, report: Sequence[CandidateReport]) -> Table | None:
-        if not report:
+    def table(self, report: StepReport) -> Table | None:
+        groups = _candidate_groups(report)
+        if not groups:
             return None
         columns = [
             Column("effect", kind="words"),
             Column("on", kind="words"),
-            Column("residual explained", help=_EXPLAINED),
+            Column("residual explained", help=f"{_EXPLAINED}, at most"),
             Column("parameters", help="Number of parameters"),
-            Column("reason", kind="words", help="Reason why it was not chosen"),
+            Column("why it lost", kind="words"),
         ]
         rows = []
-        for candidate in report:
-            score = Cell(score_text(candidate.score, candidate.standard_error), candidate.score)
-            names = [Cell(effect_name(candidate.effect)), Cell(owner_name(candidate))]
-            rows.append([*names, score, Cell(str(candidate.parameters)), Cell(candidate.reason)])
+        for group in groups[: self.max_rows]:
+            best = group[0]
+            owners = ", ".join(dict.fromkeys(owner_name(candidate) for candidate in group))
+            score = Cell(score_text(best.score, best.standard_error), best.score)
+            reason = Cell(best.reason or _NO_REASON)
+            rows.append([Cell(effect_name(best.effect)), Cell(owners), score, Cell(str(best.parameters)), reason])
         return Table(self.title, columns, rows, key_columns=2)
+
+    @override
+    def text(self, report: StepReport) -> str:
+        hidden = 0
+        if self.max_rows is not None:
+            hidden = sum(len(group) for group in _candidate_groups(report)[self.max_rows :])
+        return f"{hidden} more are listed in diagnosis.json." if hidden else ""
+
+
+def _candidate_groups(step: StepReport) -> list[list[CandidateReport]]:
+    """Candidates of one effect that lost for the same reason, the best first; alternatives come before the rejected."""
+    groups: dict[tuple[bool, str, int, str], list[CandidateReport]] = {}
+    for is_rejected, candidates in ((False, step.alternatives), (True, step.rejected)):
+        for candidate in sorted(candidates, key=lambda one: -(one.score or 0.0)):
+            key = (is_rejected, candidate.effect, candidate.parameters, candidate.reason)
+            groups.setdefault(key, []).append(candidate)
+    return list(groups.values())
 
 
 def parameter_texts(step: StepReport) -> list[str]:

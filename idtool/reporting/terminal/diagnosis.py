@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from idtool.reporting.diagnosis_text import UNKNOWN, common_unit, owner_name, position_units
+from idtool.reporting.diagnosis_text import UNKNOWN, owner_name, worse_motion, worse_motion_sentence
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
 from idtool.reporting.sections.against import ChangesSection, SimulatorGapSection
 from idtool.reporting.sections.diagnosis import (
     CandidatesSection,
     ErrorsBeforeAfterSection,
     StepsSection,
-    change_text,
     score_text,
 )
 from idtool.reporting.terminal.base import STYLE, Terminal
@@ -61,14 +60,14 @@ def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
     """Print the table of the steps, and a sentence for each below."""
     terminal.sections([StepsSection()], report)
     for i, step in enumerate(report.steps, 1):
-        _show_step(terminal, i, step, report.units)
+        _show_step(terminal, i, step, report)
     for text in report.removed:
         terminal.say(text)
     if report.steps or report.removed:
         terminal.say("")
 
 
-def _show_step(terminal: Terminal, index: int, step: StepReport, units: Mapping[str, str]) -> None:
+def _show_step(terminal: Terminal, index: int, step: StepReport, report: DiagnosisReport) -> None:
     """Print a step as a sentence, and what speaks against it in colour."""
     evidence = step.evidence
     terminal.say(f"{index}. {evidence.sentence}", STYLE["warning"] if step.effect == UNKNOWN else None)
@@ -80,26 +79,22 @@ def _show_step(terminal: Terminal, index: int, step: StepReport, units: Mapping[
             f"{score_text(rival.score, rival.standard_error)}",
             STYLE["warning"],
         )
-    if worse := evidence.rollout_worse:
-        lengths = {**position_units(units), "overall": common_unit(position_units(units))}
-        before, after = evidence.simulation_before, evidence.simulation_after
-        errors = [f"{name} {change_text(before, after, name)} {lengths[name]}" for name in worse]
-        terminal.say(
-            f"   with this effect, the torque is predicted better, but the simulation is worse: {', '.join(errors)}",
-            STYLE["problem"],
-        )
+    if worse_motion(step):
+        terminal.say(f"   {worse_motion_sentence(step, report)}", STYLE["problem"])
 
 
 def _show_errors(terminal: Terminal, report: DiagnosisReport) -> None:
     """Print the errors by joint, before, after and at the noise floor."""
     terminal.sections([ErrorsBeforeAfterSection()], report)
     if "overall" in report.rollout_worse:
-        warning = "The torque is predicted better, but the simulation is worse: do not simulate with this model."
-        terminal.say(warning, STYLE["problem"])
+        terminal.say(
+            "The final model predicts the torque better than the original model, but its simulation is worse: do not "
+            "simulate with this model.",
+            STYLE["problem"],
+        )
 
 
 def _show_rejected(terminal: Terminal, steps: Sequence[StepReport]) -> None:
     """Print the reason why each candidate was rejected."""
     for i, step in enumerate(steps, 1):
-        candidates = [*step.alternatives, *step.rejected]
-        terminal.sections([CandidatesSection(f"Step {i}: other candidates")], candidates)
+        terminal.sections([CandidatesSection(f"Step {i}: tried and lost")], step)

@@ -1,0 +1,148 @@
+"""`effect_profile`: residual of a joint against what causes an effect, without and with it, and the effect's torque."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from idtool.common.arrays import Array, Mask
+from idtool.diagnosis.records import EffectProfile
+from idtool.diagnosis.regions import distance_since_reversal
+from idtool.diagnosis.residual_maps import STATE_BINS, TIME_BINS, bin_means, uniform_edges, velocity_edges
+from idtool.diagnosis.residual_series import ResidualSeries, residual_series
+from idtool.diagnosis.trial import with_effects
+from idtool.dynamics.effects import NamedEffect, effect_from_entry
+from idtool.dynamics.effects.joint_effect import JointEffect
+from idtool.dynamics.effects.named_effect import Cause
+from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.robot.config import EffectEntry
+
+_MAX_SCATTER = 0.2  # of the effect's power about its means, up to which it is a function of its cause
+_FIRST_BIN = 0.05  # quantile of the distances since reversals at which the first bin ends
+_DISTANCE_BINS = 40
+
+
+def effect_profile(
+    entry: EffectEntry,
+    before: Experiment,
+    theta_before: Array,
+    after: Experiment,
+    theta_after: Array,
+    progress: Progress,
+) -> EffectProfile:
+    """Profile of an effect, on training and held-out parts together.
+
+    Samples at which the sign of the joint's friction is not known are left out.
+
+    Parameters
+    ----------
+    entry
+        The effect, one of those of ``after``.
+    before, after
+        Model and data without and with the effect; the logs are the same.
+    theta_before, theta_after
+        Coefficients, shape (p,) each.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    """
+    effect = effect_from_entry(entry, after.model)
+    others = [other for other in after.config.effects if effect_from_entry(other, after.model).key != effect.key]
+    without = with_effects(after, others, theta_after).equation
+    coefficients = {c.key: x for c, x in zip(after.equation.coefficients, theta_after, strict=True)}
+    theta_without = np.array([coefficients[c.key] for c in without.coefficients])
+    models = [(before.equation, theta_before), (without, theta_without), (after.equation, theta_after)]
+    series = residual_series(before, models, progress, "mapping the explained residual")
+
+    joints = after.equation.joints
+    j = int(effect.joint) if isinstance(effect, JointEffect) else _most_improved_joint(series)
+    source = j if effect.cause_joint is None else effect.cause_joint
+    cause = _cause_values(effect, series, source, float(after.runs[0].signals.velocity_deadband[source]))
+    valid = series.valid[j] & np.isfinite(cause)
+    residual_before, residual_without, residual_after = series.residuals[:, j]
+    torques = np.stack([residual_before, residual_after, residual_without - residual_after])
+    if effect.follows_direction:
+        torques = torques * np.sign(series.v[j])
+    values, mean, deviation = _binned_torques(effect.cause, cause, torques, valid)
+    return EffectProfile(
+        joint=joints[j],
+        cause=effect.cause,
+        cause_joint=joints[source],
+        period=effect.cause_period,
+        in_direction_of_motion=effect.follows_direction,
+        values=values,
+        mean_before=mean[0],
+        deviation_before=deviation[0],
+        mean_after=mean[1],
+        deviation_after=deviation[1],
+        effect_torque=mean[2] if _is_function(torques[2, valid], np.interp(cause[valid], values, mean[2])) else None,
+    )
+
+
+def _most_improved_joint(series: ResidualSeries) -> int:
+    """Joint whose squared residual the last model reduces most, relative to what is left."""
+    squares = np.square(series.residuals)
+    before = np.sum(squares[0], axis=-1, where=series.valid)
+    after = np.sum(squares[-1], axis=-1, where=series.valid)
+    return int(np.argmax(before / np.maximum(after, np.finfo(float).tiny)))
+
+
+def _cause_values(effect: NamedEffect, series: ResidualSeries, j: int, velocity_deadband: float) -> Array:
+    """What causes the effect, at each sample, shape (n,); infinite where it is not known."""
+    match effect.cause:
+        case "position":
+            q = series.q[j] if effect.cause_period is None else series.q[j] % effect.cause_period
+            return np.asarray(q)
+        case "velocity":
+            return np.asarray(series.v[j])
+        case "acceleration":
+            return np.asarray(series.a[j])
+        case "torque":
+            return np.asarray(series.tau[j])
+        case "torque_rate":
+            return _rate(series.tau[j], series)
+        case "distance_since_reversal":
+            return distance_since_reversal(series, j, velocity_deadband)
+        case "time":
+            return series.t
+
+
+def _rate(x: Array, series: ResidualSeries) -> Array:
+    """Derivative by time within each segment, shape (n,); infinite in segments of one sample."""
+    rate = np.full(len(x), np.inf)
+    for part in series.segments:
+        if part.stop - part.start > 1:
+            rate[part] = np.gradient(x[part]) / series.dt[part]
+    return rate
+
+
+def _binned_torques(cause: Cause, values: Array, torques: Array, valid: Mask) -> tuple[Array, Array, Array]:
+    """Mean of the cause in each bin, shape (k,), and mean and standard deviation of the torques, shape (3, k) each."""
+    x = values[valid]
+    edges = _edges(cause, x)
+    _, at, _ = bin_means(x, edges, x)
+    means = []
+    deviations = []
+    for torque in torques[:, valid]:
+        _, mean, rms = bin_means(x, edges, torque)
+        means.append(mean)
+        deviations.append(np.sqrt(np.maximum(np.square(rms) - np.square(mean), 0.0)))
+    return at, np.array(means), np.array(deviations)
+
+
+def _edges(cause: Cause, x: Array) -> Array:
+    """Edges of the bins; near zero velocity, and after a reversal, they are close together."""
+    match cause:
+        case "velocity":
+            return velocity_edges(x)
+        case "distance_since_reversal" if len(x) and x.max() > 0:
+            first = max(float(np.quantile(x, _FIRST_BIN)), 1e-4 * float(x.max()))
+            return np.concatenate([[0.0], np.geomspace(first, x.max(), _DISTANCE_BINS)])
+        case "time":
+            return uniform_edges(x, TIME_BINS)
+        case _:
+            return uniform_edges(x, STATE_BINS)
+
+
+def _is_function(torque: Array, mean: Array) -> bool:
+    """True if a torque differs little from its mean at the same value of the cause, shape (n,) each."""
+    power = float(np.sum(np.square(torque)))
+    return power > 0 and float(np.sum(np.square(torque - mean))) < _MAX_SCATTER * power
