@@ -127,6 +127,9 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     steps = with_doubts(_steps(search, first, last, simulate, stages), experiment.model)
     steps = _confirmed(steps, search, floor, remaining, stages)
     steps += _unknown_steps(search, structure, floor, remaining, last, stages)
+    no_maps: ProfilesByJoint = {}
+    maps_before = stages.run("the residual map", partial(_maps, first, progress), no_maps)
+    maps_after = stages.run("the residual map", partial(_maps, last, progress), no_maps)
     delay_notices = delay.notices if delay else ()
     skipped = [*before_search.notices, *stages.notices]
     return Diagnosis(
@@ -139,8 +142,8 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         after=errors_of_fit(last),
         floor=_reported_floor(floor, remaining, errors_of_fit(last)),
         verdict=_verdict(steps),
-        maps_before=stages.run("the residual map", lambda: _maps(first, progress), {}),
-        maps_after=stages.run("the residual map", lambda: _maps(last, progress), {}),
+        maps_before=maps_before,
+        maps_after=maps_after,
         notices=unique([*delay_notices, *_doubt_notices(steps), *_search_notices(search), *skipped]),
         seconds=time.perf_counter() - started,
     )

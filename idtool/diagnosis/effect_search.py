@@ -153,7 +153,8 @@ class EffectSearch:
         self._effects = effects
         self._max_effects = max_effects
         self._report_progress = progress
-        self._deadline = None if budget is None else time.monotonic() + budget
+        self._budget = budget
+        self._deadline: float | None = None
         self.stopped = ""
         self.is_interrupted = False
         self.added: list[AddedEffect] = []
@@ -198,6 +199,8 @@ class EffectSearch:
 
     def run(self) -> None:
         """Add effects until none is worthwhile, the time is over, or Ctrl-C; what was found by then remains."""
+        if self._budget is not None:
+            self._deadline = time.monotonic() + self._budget
         try:
             self._run()
         except KeyboardInterrupt:

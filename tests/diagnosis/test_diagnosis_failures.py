@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -161,3 +162,85 @@ def test_bodies_that_cannot_be_are_fixed_as_they_stand(tmp_path: Path) -> None:
     shutil.copy(LEG.with_suffix(".yaml"), tmp_path)
     options = ("--inertia", "fixed", "--effects", "torque_offset", "--no-simulation", "--quiet")
     assert idtool("diagnose", urdf, TRAIN, *options, "--out", tmp_path / "out").code == 0
+
+
+STAGES = (
+    "find_data_faults",
+    "_structure",
+    "_remaining_errors",
+    "_noise_floor",
+    "localize_residual",
+    "localize_unexplained",
+    "effect_profile",
+    "estimate_on_parts",
+    "residual_maps",
+)
+
+
+@pytest.mark.parametrize("failure", [ValueError("as this test wants it"), np.linalg.LinAlgError(), KeyboardInterrupt()])
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_that_fails_is_skipped_and_named(
+    arm: Experiment, monkeypatch: pytest.MonkeyPatch, stage: str, failure: BaseException
+) -> None:
+    def fail(*arguments: Any, **options: Any) -> Any:
+        monkeypatch.undo()  # Ctrl-C comes once
+        raise failure
+
+    monkeypatch.setattr(module, stage, fail)
+    found = diagnosed(arm)
+    assert named(found) == {SPRING, OFFSET}
+    skipped = [notice.message for notice in found.notices if notice.code == "stage_skipped"]
+    if stage != "localize_unexplained":  # nothing remains to be located
+        assert skipped
+        reason = "the diagnosis was interrupted" if isinstance(failure, KeyboardInterrupt) else "its "
+        assert f" was skipped: {reason}" in skipped[0]
+
+
+@pytest.mark.parametrize("calls", [1, 3, 6, 10])
+def test_what_was_found_before_ctrl_c_is_reported(arm: Experiment, monkeypatch: pytest.MonkeyPatch, calls: int) -> None:
+    """At the n-th fit of the search; the model that is reported is complete."""
+    inner, count = effect_search.linearize_fit, [0]
+
+    def linearize_fit(*arguments: Any, **options: Any) -> Any:
+        count[0] += 1
+        if count[0] == calls + 2:  # the first two are the model without effects
+            raise KeyboardInterrupt
+        return inner(*arguments, **options)
+
+    monkeypatch.setattr(effect_search, "linearize_fit", linearize_fit)
+    found = diagnosed(arm)
+    assert named(found) <= {SPRING, OFFSET}
+    assert found.after.validation is not None
+    interrupted = [notice for notice in found.notices if notice.code == "search_interrupted"]
+    assert len(interrupted) == (count[0] >= calls + 2)
+
+
+def test_a_budget_ends_the_search(arm: Experiment) -> None:
+    found = diagnose(arm, Options(effects=EFFECTS, simulate=False, budget=0.0), silent)
+    assert named(found) == set()
+    (notice,) = [notice for notice in found.notices if notice.code == "search_interrupted"]
+    assert notice.message.startswith("the search reached its time limit")
+    assert diagnose(arm, Options(effects=EFFECTS, simulate=False, budget=1e6), silent).verdict == "explained"
+
+
+def test_a_probe_that_fails_is_named_and_hides_no_other(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    inner = ParallelSpring.probe
+
+    def probe(summary: Any, joint: int, nonlinear_values: Any) -> Any:
+        def columns(motion: Motion, linearized: Any) -> Any:
+            raise ValueError(REASON)
+
+        return replace(inner(summary, joint, nonlinear_values), columns=columns, column_key=None)
+
+    monkeypatch.setattr(ParallelSpring, "probe", probe)
+    without_spring(diagnosed(arm), "its evaluation failed (ValueError)")
+
+
+def test_an_effect_whose_hypotheses_fail_is_named(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    def probes(summary: Any) -> Any:
+        raise RuntimeError(REASON)
+
+    monkeypatch.setattr(ParallelSpring, "probes", probes)
+    found = diagnosed(arm)
+    assert OFFSET in named(found)
+    assert any("parallel_spring" in warning and "RuntimeError" in warning for warning in sentences(found.notices))
