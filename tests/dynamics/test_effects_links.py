@@ -46,6 +46,8 @@ SECONDS = 2.0
 LOAD = {"mass": 0.4, "com": [0.05, -0.02, 0.1], "inertia": [0.002, 0.0003, 0.003, -0.0002, 0.0001, 0.004]}
 WINDOWS = [[0.6003, 0.9], [1.25, 1.7002]]
 WRENCH = [4.0, -3.0, 5.0, 0.3, -0.2, 0.4]
+POINT = [0.1, -0.05, 0.2]
+PROFILE = [[0.6, 0.0], [0.75, 1.0], [0.9, 0.0], [1.25, 0.0], [1.35, -0.7], [1.5, -0.2], [1.7, 0.0]]
 TILTED = [0.8, -0.5, -9.7]
 
 
@@ -77,6 +79,23 @@ def pushed(link: str) -> Log:
     return recorded(model, SECONDS, pushing(model, link))
 
 
+def pushed_by_profile() -> Log:
+    """The arm with a wrench at a point of a link that comes and goes slowly."""
+    model = spec_of().compile()
+    body = model.body("tool").id
+
+    def act(data: Any) -> None:
+        middle = data.time + 0.5 / (RATE * STEPS) - 0.5 / RATE  # of the step; the first sample is half a sample late
+        share = np.interp(middle, *np.transpose(PROFILE))
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        point = data.xpos[body] + data.xmat[body].reshape(3, 3) @ POINT
+        force, moment = share * np.array(WRENCH[:3]), share * np.array(WRENCH[3:])
+        mujoco.mj_applyFT(model, data, force, moment, point, body, data.qfrc_applied)
+
+    return recorded(model, SECONDS, act)
+
+
 def pushing(model: Any, link: str) -> Act:
     """Applies the wrench by the share of each step that lies in a window; the first sample is half a sample late."""
     body, step = model.body(link).id, 1 / (RATE * STEPS)
@@ -99,6 +118,12 @@ CASES: dict[str, tuple[Callable[[], Log], dict[str, Any]]] = {
     "tilt": (tilted, on_link("gravity_tilt", None, gravity=TILTED)),
     "contact": (lambda: pushed("upper"), on_link("external_contact", "upper", windows=WINDOWS, wrench=WRENCH)),
     "contact of a tool": (lambda: pushed("tool"), on_link("external_contact", "tool", windows=WINDOWS, wrench=WRENCH)),
+    "push with a profile at a point": (
+        pushed_by_profile,
+        on_link(
+            "external_contact", "tool", windows=[[0.6, 0.9], [1.25, 1.7]], wrench=WRENCH, point=POINT, profile=PROFILE
+        ),
+    ),
 }
 
 
@@ -262,6 +287,9 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "windows that are numbers": (push(windows=[0, 1]), "external_contact: windows is not a list of lists of 2 numbers"),
     "no windows": (push(windows=[]), "external_contact: windows is not a list of lists of 2 numbers"),
     "a window backwards": (push(windows=[[1, 0]]), "external_contact: windows must be in ascending order"),
+    "a point in a plane": (push(point=[0, 0]), "external_contact: point is not a list of 3 numbers"),
+    "a profile of numbers": (push(profile=[0, 1]), "external_contact: profile is not a list of lists of 2 numbers"),
+    "a profile backwards": (push(profile=[[1, 0], [0, 1]]), "external_contact: the times of the profile must be in"),
     "windows that touch": (push(windows=[[0, 1], [1, 2]]), "external_contact: windows must be in ascending order"),
     "a tilt of a link": (on_link("gravity_tilt", "tool", gravity=TILTED), "gravity_tilt: acts on the whole robot"),
     "a tilt in degrees": (on_link("gravity_tilt", None, gravity=5), "gravity_tilt: gravity is not a list of 3 numbers"),
