@@ -12,13 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from idtool.common.arrays import Array, Indices, Mask
-from idtool.diagnosis.pushes import find_pushes
+from idtool.diagnosis.pushes import find_pushes, raised_windows
 from idtool.diagnosis.robust_residual import RobustResidual, robust_residual
 from idtool.dynamics.effects.data_summary import Burst
 from idtool.estimation.dataset.experiment import Experiment, Progress
@@ -54,17 +54,30 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
 
     Returns
     -------
-    One for any link if the torque comes and goes at once; else one for each link on which a push explains it. None if
-    there are several logs, since a contact's windows count from the first sample of each.
+    For any link if the torque comes and goes at once, with and without the other windows in which it is large; else one
+    for each link on which a push explains it. None if there are several logs, since a contact's windows count from the
+    first sample of each.
     """
     if len(experiment.runs) > 1:
         return ()
     log = experiment.runs[0].signals.log
     residual = robust_residual(experiment, theta, progress, "looking for contacts")
     windows = _constant_windows(residual, float(log.t[-1] - log.t[0]))
-    if windows:
-        return (Burst(windows),)
-    return find_pushes(experiment.model, residual)
+    if not windows:
+        return find_pushes(experiment.model, residual)
+    others = [window for window in map(partial(_high_part, residual), raised_windows(residual)) if window is not None]
+    apart = [(a, b) for a, b in others if all(b < begin or a > end for begin, end in windows)]
+    every = tuple(sorted([*windows, *apart]))
+    return (Burst(every), Burst(windows)) if apart else (Burst(windows),)
+
+
+def _high_part(series: RobustResidual, window: slice) -> tuple[float, float] | None:
+    """Begin and end of the part of a window with at least half of its usual level [s]; None if it is short."""
+    level = median_filter(series.levels[window], _SMOOTHING, mode="nearest")
+    high = np.flatnonzero(level > np.median(level) / 2)
+    t = series.t[window]
+    begin, end = float(t[high[0]]), float(t[high[-1]])
+    return (round(begin, 4), round(end, 4)) if end - begin > _MIN_DURATION else None
 
 
 def _constant_windows(series: RobustResidual, log_seconds: float) -> tuple[tuple[float, float], ...]:

@@ -67,7 +67,7 @@ def find_pushes(model: RobotModel, residual: RobustResidual) -> tuple[Burst, ...
     For each link on which a push may act, the same pushes as they would be on it; none if there is no such link.
     """
     usual = _usual_level(residual)
-    windows = _raised_windows(residual, usual)
+    windows = raised_windows(residual)
     if not windows:
         return ()
     bursts = []
@@ -88,11 +88,12 @@ def _usual_level(residual: RobustResidual) -> float:
     return max(float(np.sqrt(calmer.mean())), _TINY)
 
 
-def _raised_windows(residual: RobustResidual, usual: float) -> list[slice]:
+def raised_windows(residual: RobustResidual) -> list[slice]:
     """Windows in which the level is far above the usual; none if there are too many, or little of the residual in them.
 
     One that fills its segment was seen neither to come nor to go.
     """
+    usual = _usual_level(residual)
     windows = []
     outside = np.ones(len(residual.t), dtype=bool)
     for segment in residual.segments:
