@@ -11,17 +11,19 @@ Letters: nv joints, n samples. The level is the rms over the joints of the resid
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.data.logs import JointLog
 from idtool.diagnosis.pushes import find_pushes, raised_windows
 from idtool.diagnosis.robust_residual import RobustResidual, robust_residual
 from idtool.dynamics.effects.data_summary import Burst
 from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.robot.model import RobotModel
 
 _SMOOTHING = 9  # samples of the median filter; four or more make a period of the band
 _EDGE_REACH = 10  # samples to each side in which an edge is looked for and evaluated
@@ -55,16 +57,29 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
     Returns
     -------
     For any link if the torque comes and goes at once, with and without the other windows in which it is large; else one
-    for each link on which a push explains it. None if there are several logs, since a contact's windows count from the
-    first sample of each.
+    for each link on which a push explains it. With several logs, those of each training log by itself.
     """
-    if len(experiment.runs) > 1:
-        return ()
-    log = experiment.runs[0].signals.log
     residual = robust_residual(experiment, theta, progress, "looking for contacts")
+    if len(experiment.runs) == 1:
+        return _bursts_of_log(experiment.model, residual, experiment.runs[0].signals.log)
+    bursts = []
+    start = 0.0
+    for run in experiment.runs:
+        log = run.signals.log
+        stop = start + float(log.t[-1] - log.t[0]) + log.dt
+        first, end = np.searchsorted(residual.t, [start - log.dt / 2, stop - log.dt / 2])
+        if run.train and end > first:
+            own = residual.part(slice(int(first), int(end)), start)
+            bursts += [replace(burst, log=log.path.name) for burst in _bursts_of_log(experiment.model, own, log)]
+        start = stop
+    return tuple(bursts)
+
+
+def _bursts_of_log(model: RobotModel, residual: RobustResidual, log: JointLog) -> tuple[Burst, ...]:
+    """Bursts in one log."""
     windows = _constant_windows(residual, float(log.t[-1] - log.t[0]))
     if not windows:
-        return find_pushes(experiment.model, residual)
+        return find_pushes(model, residual)
     others = [window for window in map(partial(_high_part, residual), raised_windows(residual)) if window is not None]
     apart = [(a, b) for a, b in others if all(b < begin or a > end for begin, end in windows)]
     every = tuple(sorted([*windows, *apart]))

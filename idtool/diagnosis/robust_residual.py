@@ -53,6 +53,16 @@ class RobustResidual:
         ends = (*self.segment_starts[1:], len(self.t))
         return tuple(slice(start, end) for start, end in zip(self.segment_starts, ends, strict=True))
 
+    def part(self, samples: slice, start: float) -> RobustResidual:
+        """Samples of one log, whose times count from its own start [s]."""
+        segment_starts = [
+            first - samples.start for first in self.segment_starts if samples.start <= first < samples.stop
+        ]
+        q, v, e = (x[:, samples] for x in (self.q, self.v, self.e))
+        return RobustResidual(
+            self.t[samples] - start, q, v, e, self.noise, self.valid[:, samples], tuple(segment_starts)
+        )
+
     @cached_property
     def levels(self) -> Array:
         """Rms over the joints, shape (n,)."""

@@ -202,6 +202,16 @@ def test_windows_count_from_the_logs_first_sample(tmp_path: Path) -> None:
     )
 
 
+def test_with_a_log_a_contact_acts_in_no_other(tmp_path: Path) -> None:
+    """Neither along the log nor in the simulation."""
+    log = pushed("tool")
+    own, other = (push(log=name) for name in ("arm.csv", "leg.csv"))
+    np.testing.assert_allclose(residuals(tmp_path, log, own)[0], residuals(tmp_path, log, push())[0], rtol=1e-9)
+    np.testing.assert_allclose(residuals(tmp_path, log, other)[0], residuals(tmp_path, log)[0], rtol=1e-9)
+    np.testing.assert_allclose(rolled_out(tmp_path, log, own), rolled_out(tmp_path, log, push()), atol=1e-9)
+    np.testing.assert_allclose(rolled_out(tmp_path, log, other), rolled_out(tmp_path, log), atol=1e-9)
+
+
 def test_outside_its_windows_a_contact_is_nothing(tmp_path: Path) -> None:
     urdf, csv = written(tmp_path, {name: x[:600] for name, x in recorded(spec_of().compile(), 0.6).items()})
     tried = experiment(urdf, csv, on_link("external_contact", "tool", windows=[[0.2, 0.3]], wrench=WRENCH))
@@ -287,6 +297,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "windows that are numbers": (push(windows=[0, 1]), "external_contact: windows is not a list of lists of 2 numbers"),
     "no windows": (push(windows=[]), "external_contact: windows is not a list of lists of 2 numbers"),
     "a window backwards": (push(windows=[[1, 0]]), "external_contact: windows must be in ascending order"),
+    "a log without a name": (push(log=1), "external_contact: log is not text; give the file name of a log"),
     "a point in a plane": (push(point=[0, 0]), "external_contact: point is not a list of 3 numbers"),
     "a profile of numbers": (push(profile=[0, 1]), "external_contact: profile is not a list of lists of 2 numbers"),
     "a profile backwards": (push(profile=[[1, 0], [0, 1]]), "external_contact: the times of the profile must be in"),

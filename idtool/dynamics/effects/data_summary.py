@@ -22,12 +22,15 @@ class Burst:
         Point of that link at which the force acts, in its frame [m].
     profile
         Times [s] and shares of the force, with straight lines between; none: it is constant.
+    log
+        File name of the log in which it acts; empty: in all.
     """
 
     windows: tuple[tuple[float, float], ...]
     link: str = ""
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     profile: tuple[tuple[float, float], ...] = ()
+    log: str = ""
 
     @property
     def parameter_count(self) -> int:

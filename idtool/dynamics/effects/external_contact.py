@@ -34,8 +34,8 @@ class ExternalContact(LinkEffect):
     default the origin of its frame, and a moment [N·m], both along the axes of the root link. The windows
     [[from, to], …] count from the first sample of each log [s]; at their ends the wrench comes and goes within 5 ms,
     as half a cosine. In between it is constant, or has a profile [[time, share], …]: at these times, counted in the
-    same way, these shares of the wrench act, and between them, shares on straight lines. A link may have several
-    contacts, with other first windows.
+    same way, these shares of the wrench act, and between them, shares on straight lines. It acts in all logs,
+    or in the one with a file name. A link may have several contacts, with other first windows.
 
     Parameters
     ----------
@@ -53,6 +53,8 @@ class ExternalContact(LinkEffect):
         Point of the link at which the force acts, in the link's frame, shape (3,) [m].
     profile
         Times [s], ascending, and shares of the wrench, shape (k, 2); none: it is constant.
+    log
+        File name of the log in which it acts; empty: in all.
     """
 
     id = "external_contact"
@@ -60,7 +62,7 @@ class ExternalContact(LinkEffect):
     excitation_hint = "the same motion with and without contact"
     acts_in_bursts = True
     parameter_names = ("windows", "wrench")
-    optional_parameter_names = ("point", "profile")
+    optional_parameter_names = ("point", "profile", "log")
 
     def __init__(
         self,
@@ -71,12 +73,14 @@ class ExternalContact(LinkEffect):
         wrench: Array,
         point: Array,
         profile: Array | None = None,
+        log: str = "",
     ) -> None:
         super().__init__(model, link, frame)
         last_body = len(self.chain.bodies) - 1
         self._contact_frame = replace(frame.compose(np.eye(3), point), body=last_body)
         self._edges = windows.ravel()
         self._profile = profile
+        self._log = log
         self._force = wrench[:3]
         self._moment = wrench[3:]
 
@@ -98,12 +102,15 @@ class ExternalContact(LinkEffect):
             if (np.diff(profile[:, 0]) <= 0).any():
                 problem = "the times of the profile must be in ascending order; sort them"
                 raise ConfigError(entry_location(entry), problem)
-        return cls(model, str(entry.link), frame, windows, wrench, point, profile)
+        log = entry.parameters.get("log", "")
+        if not isinstance(log, str):
+            raise ConfigError(entry_location(entry), "log is not text; give the file name of a log")
+        return cls(model, str(entry.link), frame, windows, wrench, point, profile, log)
 
     @property
     @override
     def key(self) -> tuple[str | float, ...]:
-        return *super().key, float(self._edges[0])
+        return *super().key, float(self._edges[0]), self._log
 
     @classmethod
     @override
@@ -127,6 +134,8 @@ class ExternalContact(LinkEffect):
             fixed_parameters["point"] = list(burst.point)
         if burst.profile:
             fixed_parameters["profile"] = [list(row) for row in burst.profile]
+        if burst.log:
+            fixed_parameters["log"] = burst.log
         unit_contacts = []
         for unit_wrench in np.eye(6).tolist():
             parameters = {**fixed_parameters, "wrench": unit_wrench}
@@ -151,6 +160,7 @@ class ExternalContact(LinkEffect):
             coefficient_count=6,
             to_entry=to_entry,
             is_local=True,
+            log=burst.log,
             parameter_count=burst.parameter_count + int(joint_count),
         )
 
@@ -160,6 +170,8 @@ class ExternalContact(LinkEffect):
 
     @override
     def fixed_torque(self, motion: Motion) -> Array:
+        if self._log not in ("", motion.log):
+            return np.zeros_like(motion.q)
         share = self._acting_share(motion.t)
         active = np.abs(share) > _ROUNDING
         tau = np.zeros_like(motion.q)
