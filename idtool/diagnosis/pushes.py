@@ -273,7 +273,8 @@ def _is_push(data: _Windows, b: Array, residual: RobustResidual, samples: Indice
         total = float((weight[own] * np.square(s[own])).sum())
         if min(positive, total - positive) > _MAX_REVERSED * total:
             return False
-        smooth = uniform_filter1d(s[own] * weight[own], smooth_samples) / uniform_filter1d(weight[own], smooth_samples)
+        mean_weight = np.maximum(uniform_filter1d(weight[own], smooth_samples), _TINY)  # 0 where no joint is known
+        smooth = uniform_filter1d(s[own] * weight[own], smooth_samples) / mean_weight
         rough += float((weight[own] * np.square(s[own] - smooth)).sum())
     return rough < _MAX_ROUGHNESS**2 * float((weight * np.square(s)).sum())
 
