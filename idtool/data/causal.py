@@ -152,6 +152,7 @@ class _MotionReader:
             logged_tau=self._read("tau", part),
             velocity_deadband=self._signals.velocity_deadband,
             dt=dt,
+            log=self._signals.log.path.name,
         )
 
     def _stretch_of(self, sample: int) -> slice:

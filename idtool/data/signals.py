@@ -63,6 +63,8 @@ class Motion:
         torque is the controller's; a logged torque is repeated.
     kept_columns
         Columns along these q, v and a that are kept for other models; None: none are.
+    log
+        File name of the log; empty: the motion is of no log.
     """
 
     t: Array
@@ -76,6 +78,7 @@ class Motion:
     motor_minus_link: Mapping[int, Array] = field(default_factory=dict)
     delayed_torques: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     kept_columns: KeptColumns | None = None
+    log: str = ""
 
     @property
     def is_log(self) -> bool:
@@ -290,7 +293,18 @@ class Signals:
         q, v, a = self._kinematics(part, self.velocity_from_position)
         (tau, *delayed), logged_tau = self._torques(part, (self.controller.delay, *delays))
         delayed_torques = np.array(delayed).reshape(-1, *tau.shape)
-        return Motion(t, q, v, a, tau, logged_tau, self.velocity_deadband, self.log.dt, delayed_torques=delayed_torques)
+        return Motion(
+            t=t,
+            q=q,
+            v=v,
+            a=a,
+            tau=tau,
+            logged_tau=logged_tau,
+            velocity_deadband=self.velocity_deadband,
+            dt=self.log.dt,
+            delayed_torques=delayed_torques,
+            log=self.log.path.name,
+        )
 
     def _kinematics(self, part: slice, from_position: Mask) -> tuple[Array, Array, Array]:
         """q, v and a at samples of the log, shape (nv, N); v from q where ``from_position``, shape (nv,)."""

@@ -2,7 +2,8 @@
 
 A model fitted to data with a contact is biased by it and leaves a residual everywhere. So the residual is that of a
 robust fit, which ignores the contact. A contact is distinguished from friction, gears and the rest by its shape: its
-torque appears and vanishes within milliseconds, is never small in between, and changes only as slowly as the pose.
+torque appears and vanishes within milliseconds, is never small in between, and changes only as slowly as the pose. One
+that comes and goes slowly is a push, see `pushes`.
 
 Letters: nv joints, n samples. The level is the rms over the joints of the residual, in units of each joint's noise.
 """
@@ -10,16 +11,19 @@ Letters: nv joints, n samples. The level is the rms over the joints of the resid
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from idtool.common.arrays import Array, Indices, Mask
-from idtool.diagnosis.residual_series import residual_chunks
-from idtool.diagnosis.robust_fit import robust_coefficients
+from idtool.data.logs import JointLog
+from idtool.diagnosis.pushes import find_pushes, raised_windows
+from idtool.diagnosis.robust_residual import RobustResidual, robust_residual
+from idtool.dynamics.effects.data_summary import Burst
 from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.robot.model import RobotModel
 
 _SMOOTHING = 9  # samples of the median filter; four or more make a period of the band
 _EDGE_REACH = 10  # samples to each side in which an edge is looked for and evaluated
@@ -36,11 +40,9 @@ _MAX_OUTSIDE = 0.3  # of the level just inside an edge, for that just outside
 _MAX_ROUGHNESS = 0.3  # of the level, that may change faster than a pose does
 _POSE_SECONDS = 0.1  # in which a pose hardly changes
 _MAX_BURSTS = 10
-_MIN_NOISE = 1e-3  # of a joint's torque
-_MAD_TO_SIGMA = 1.4826
 
 
-def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tuple[tuple[float, float], ...]:
+def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tuple[Burst, ...]:
     """Time intervals in which the residual torque is unusually large, as in a contact.
 
     Parameters
@@ -54,72 +56,64 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
 
     Returns
     -------
-    Begin and end of each [s] from the log's first sample, in order of time; the 10 strongest at most. None if there
-    are several logs, since a contact's windows count from the first sample of each.
+    For any link if the torque comes and goes at once, with and without the other windows in which it is large; else one
+    for each link on which a push explains it. With several logs, those of each training log by itself.
     """
-    if len(experiment.runs) > 1:
-        return ()
-    t, residual, v, valid, segment_starts = _normalized_residual(experiment, theta, progress)
-    log = experiment.runs[0].signals.log
-    levels = _levels(residual, valid)
+    residual = robust_residual(experiment, theta, progress, "looking for contacts")
+    if len(experiment.runs) == 1:
+        return _bursts_of_log(experiment.model, residual, experiment.runs[0].signals.log)
+    bursts = []
+    start = 0.0
+    for run in experiment.runs:
+        log = run.signals.log
+        stop = start + float(log.t[-1] - log.t[0]) + log.dt
+        first, end = np.searchsorted(residual.t, [start - log.dt / 2, stop - log.dt / 2])
+        if run.train and end > first:
+            own = residual.part(slice(int(first), int(end)), start)
+            bursts += [replace(burst, log=log.path.name) for burst in _bursts_of_log(experiment.model, own, log)]
+        start = stop
+    return tuple(bursts)
+
+
+def _bursts_of_log(model: RobotModel, residual: RobustResidual, log: JointLog) -> tuple[Burst, ...]:
+    """Bursts in one log."""
+    windows = _constant_windows(residual, float(log.t[-1] - log.t[0]))
+    if not windows:
+        return find_pushes(model, residual)
+    others = [window for window in map(partial(_high_part, residual), raised_windows(residual)) if window is not None]
+    apart = [(a, b) for a, b in others if all(b < begin or a > end for begin, end in windows)]
+    every = tuple(sorted([*windows, *apart]))
+    return (Burst(every), Burst(windows)) if apart else (Burst(windows),)
+
+
+def _high_part(series: RobustResidual, window: slice) -> tuple[float, float] | None:
+    """Begin and end of the part of a window with at least half of its usual level [s]; None if it is short."""
+    level = median_filter(series.levels[window], _SMOOTHING, mode="nearest")
+    high = np.flatnonzero(level > np.median(level) / 2)
+    t = series.t[window]
+    begin, end = float(t[high[0]]), float(t[high[-1]])
+    return (round(begin, 4), round(end, 4)) if end - begin > _MIN_DURATION else None
+
+
+def _constant_windows(series: RobustResidual, log_seconds: float) -> tuple[tuple[float, float], ...]:
+    """Begin and end of each burst whose level is constant [s], in order of time; the 10 strongest at most."""
+    t = series.t
+    levels = series.levels
     usual_level = float(np.median(levels))
     bursts: list[tuple[float, float, float]] = []
-    for first, end in zip(segment_starts, (*segment_starts[1:], len(t)), strict=True):
+    for part in series.segments:
+        first, end = part.start, part.stop
         if end - first <= 2:
             continue
-        part = slice(first, end)
         dt = float(t[first + 1] - t[first])
-        reversals = [np.flatnonzero(np.diff(np.sign(joint_v))) for joint_v in v[:, part]]
-        segment = _Segment(residual[:, part], valid[:, part], levels[part], reversals, usual_level, dt)
+        reversals = [np.flatnonzero(np.diff(np.sign(joint_v))) for joint_v in series.v[:, part]]
+        segment = _Segment(series.e[:, part], series.valid[:, part], levels[part], reversals, usual_level, dt)
         for a, b, energy in segment.bursts():
             begin_time = t[first + a] - dt / 2 if first + a > 0 else 0.0
-            end_time = t[first + b - 1] + dt / 2 if first + b < len(t) else log.t[-1] - log.t[0]
+            end_time = t[first + b - 1] + dt / 2 if first + b < len(t) else log_seconds
             bursts.append((float(begin_time), float(end_time), energy))
     strongest = sorted(bursts, key=lambda burst: -burst[2])[:_MAX_BURSTS]
     return tuple(sorted((round(begin, 4), round(end, 4)) for begin, end, _ in strongest))
-
-
-def _normalized_residual(
-    experiment: Experiment, theta: Array, progress: Progress
-) -> tuple[Array, Array, Array, Mask, list[int]]:
-    """Residual of a robust fit in units of each joint's noise.
-
-    Returns
-    -------
-    Times [s], shape (n,), residuals, velocities and which samples are valid, shape (nv, n), and where segments begin.
-    """
-    model = (experiment.equation, robust_coefficients(experiment, theta, progress))
-    chunks = []
-    segment_starts: list[int] = []
-    count = 0
-    torque_squares = np.zeros(len(experiment.equation.joints))
-    for chunk in residual_chunks(experiment, [model], progress, "looking for contacts"):
-        if chunk.segment_starts:
-            segment_starts.append(count)
-        count += len(chunk.t)
-        torque_squares = torque_squares + np.square(chunk.tau).sum(axis=1)
-        chunks.append((chunk.t, chunk.residuals[0], chunk.v, chunk.valid))
-    t, residual, v, valid = (np.concatenate(arrays, axis=-1) for arrays in zip(*chunks, strict=True))
-
-    noise = np.zeros(len(residual))
-    for j, keep in enumerate(valid):
-        if keep.any():
-            noise[j] = _MAD_TO_SIGMA * float(np.median(np.abs(residual[j][keep])))
-    noise = np.maximum(noise, _MIN_NOISE * np.sqrt(torque_squares / max(count, 1)))
-    return t, residual / np.where(noise > 0, noise, 1.0)[:, None], v, valid, segment_starts
-
-
-def _levels(residual: Array, valid: Mask) -> Array:
-    """Rms over the valid joints, shape (n,); where none is, the lower of the nearest levels before and after."""
-    count = valid.sum(axis=0)
-    known = np.flatnonzero(count)
-    if not len(known):
-        return np.zeros(residual.shape[1])
-    level = np.sqrt(np.square(residual * valid).sum(axis=0) / np.maximum(count, 1))
-    after = np.minimum(np.searchsorted(known, np.arange(len(level))), len(known) - 1)
-    before = np.maximum(after - 1, 0)
-    nearest = np.minimum(level[known[before]], level[known[after]])
-    return np.asarray(np.where(count > 0, level, nearest))
 
 
 @dataclass(frozen=True)

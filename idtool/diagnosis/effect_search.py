@@ -294,7 +294,7 @@ class EffectSearch:
 
     def _add_effects(self, min_share: float = MIN_SHARE) -> None:
         """Add effects in rounds, until no candidate is worthwhile or a set of effects recurs."""
-        earlier: set[frozenset[tuple[str, str | None]]] = set()
+        earlier: set[tuple[tuple[str, str], ...]] = set()
         while len(self.reported) < self._max_effects:
             effects = self._effects if min_share == MIN_SHARE else self._reversal_effects()
             selection = find_best_effect(
@@ -310,7 +310,7 @@ class EffectSearch:
                 continue
             self._prune()
             self._complete = self._state()
-            state = frozenset((effect.chosen.effect, effect.chosen.target) for effect in self.added)
+            state = tuple(sorted((effect.chosen.effect, effect.chosen.target) for effect in self.added))
             if state in earlier:
                 break
             earlier.add(state)
@@ -324,10 +324,15 @@ class EffectSearch:
         return tuple(ids)
 
     def _bursts(self) -> Bursts:
-        """Time intervals with an unusually large residual; none once an effect explains them."""
-        if any(effect_types()[effect.chosen.effect].acts_in_bursts for effect in self.added):
+        """Time intervals with an unusually large residual, in logs in which no effect explains them yet."""
+        explained = set()
+        for effect in self.added:
+            if effect_types()[effect.chosen.effect].acts_in_bursts:
+                explained.add(effect.entry.parameters.get("log", ""))
+        if "" in explained:
             return ()
-        return find_bursts(self.current.experiment, self.current.estimate.theta, self.progress)
+        bursts = find_bursts(self.current.experiment, self.current.estimate.theta, self.progress)
+        return tuple(burst for burst in bursts if burst.log not in explained)
 
     def _add(self, selection: SelectionStep, winner: FittedCandidate, is_assumed: bool = False) -> str:
         """Add an effect; the reason why it cannot be, empty if it was. An assumed one need not explain anything."""

@@ -108,9 +108,9 @@ class SelectionStep:
 
 
 def probe_key(probe: Probe) -> ProbeKey:
-    """Effect and what it acts on; an effect of another source joint is another one."""
+    """Effect and what it acts on; an effect of another source joint, or in another log, is another one."""
     sources = effect_types()[probe.effect].joint_parameters()
-    return (*probe.subject, *(f"{probe.nonlinear_values[name]:g}" for name in sources))
+    return (*probe.subject, probe.log, *(f"{probe.nonlinear_values[name]:g}" for name in sources))
 
 
 def probe_target(probe: Probe) -> tuple[str, str]:

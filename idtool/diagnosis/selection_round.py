@@ -38,11 +38,11 @@ from idtool.diagnosis.trial import (
     parameter_value,
 )
 from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
-from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.data_summary import Burst, DataSummary
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
 
-Bursts = tuple[tuple[float, float], ...]
+Bursts = tuple[Burst, ...]
 
 _REFINED = 7  # candidates that are tried on a finer grid
 _FINALISTS = 5  # candidates that are fitted with the whole model
@@ -78,7 +78,7 @@ def find_best_effect(
     effects
         Ids of the effects to try; None: all.
     bursts
-        Time intervals in which the residual is unusually large [s].
+        Time intervals in which the residual is unusually large.
     min_share
         Share of a joint's squared residual that an effect must explain.
     skipped
@@ -132,7 +132,7 @@ def fit_assumed_effect(
     target
         The joint or link; None: any.
     bursts
-        Time intervals in which the residual is unusually large [s].
+        Time intervals in which the residual is unusually large.
     """
     # Among the candidates are also those that are fitted along without being named.
     summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))

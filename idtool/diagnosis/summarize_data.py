@@ -6,13 +6,13 @@ import numpy as np
 
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.effects import NamedEffect
-from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.data_summary import Burst, DataSummary
 
 _PEAK_QUANTILE = 0.995
 
 
 def summarize_data(
-    linearized: LinearizedFit, bursts: tuple[tuple[float, float], ...] = (), fixed_inertia: bool = False
+    linearized: LinearizedFit, bursts: tuple[Burst, ...] = (), fixed_inertia: bool = False
 ) -> DataSummary:
     """Ranges of the training data.
 
@@ -21,7 +21,7 @@ def summarize_data(
     linearized
         The model and its data.
     bursts
-        Time intervals in which the residual is unusually large [s].
+        Time intervals in which the residual is unusually large.
     fixed_inertia
         True if the URDF's inertia is taken as true.
     """

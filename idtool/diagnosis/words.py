@@ -11,6 +11,7 @@ from idtool.robot.config import EffectEntry
 from idtool.robot.model import RobotModel
 
 _MAX_PARAMETERS = 4  # in a sentence
+_MAX_ROWS = 8  # of a table in a sentence
 
 
 def step_sentence(step: DiagnosisStep, units: Mapping[str, str]) -> str:
@@ -54,6 +55,8 @@ def _parameter(name: str, value: object, error: object) -> str:
 
 def _value(value: object) -> str:
     if isinstance(value, list | tuple):
+        if len(value) > _MAX_ROWS:
+            return f"[{_value(value[0])}, …, {_value(value[-1])}] ({len(value)} rows)"
         return f"[{', '.join(_value(x) for x in value)}]"
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 

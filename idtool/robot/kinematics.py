@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Indices
-from idtool.robot.body import Body
+from idtool.robot.body import Body, Frame
 from idtool.robot.inertia import skew
 from idtool.robot.model import RobotModel
 
@@ -107,6 +107,34 @@ def body_placements(model: RobotModel, q: Array) -> dict[int, tuple[Array, Array
         else:
             placements[i] = R @ Rotation.from_rotvec(body.axis * phi).as_matrix(), p
     return placements
+
+
+def frame_jacobian(model: RobotModel, frame: Frame, q: Array) -> tuple[Array, Array, Array]:
+    """Jacobian of a frame along the axes of the root link.
+
+    Parameters
+    ----------
+    model
+        The tree.
+    frame
+        The frame, on one of its bodies.
+    q
+        Positions of the joints, shape (nv, N).
+
+    Returns
+    -------
+    Linear and angular velocity of the frame per unit of each joint's velocity, shape (nv, 3, N) each, and the frame's
+    rotation, shape (N, 3, 3).
+    """
+    zero = np.zeros_like(q)
+    body = body_motions(model, q, zero, zero)[frame.body]
+    R, _ = body_placements(model, q)[frame.body]
+    R = np.broadcast_to(R, (q.shape[1], 3, 3))
+    at_frame = body.S_v + cross(body.S_w, frame.p[:, None, None])
+    linear, angular = np.zeros((2, len(q), 3, q.shape[1]))
+    linear[body.coordinates] = np.einsum("nij,jkn->kin", R, np.broadcast_to(at_frame, body.S_v.shape))
+    angular[body.coordinates] = np.einsum("nij,jkn->kin", R, body.S_w)
+    return linear, angular, R @ frame.R
 
 
 def _propagate(

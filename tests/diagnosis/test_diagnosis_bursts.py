@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import config_with, idtool
 from disturbed import Array, Hidden, after_reversals, contact, experiment_of, motion, nothing, silent, torque_on_joint
 
 from idtool.diagnosis.bursts import find_bursts
@@ -19,9 +20,8 @@ def test_contacts_are_found_although_the_model_is_fitted_to_them(tmp_path: Path)
     rows = np.abs(motion()[0] - 9.0) > 0.3
     friction = {"viscous": True, "coulomb": True}
     experiment = experiment_of(tmp_path, contact(*WINDOWS), rows=rows, friction=friction)
-    np.testing.assert_allclose(
-        find_bursts(experiment, linearize_fit(experiment, silent).theta, silent), WINDOWS, atol=0.01
-    )
+    (burst,) = find_bursts(experiment, linearize_fit(experiment, silent).theta, silent)
+    np.testing.assert_allclose(burst.windows, WINDOWS, atol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,8 @@ def test_a_contact_may_be_there_from_the_start_or_to_the_end(
     tmp_path: Path, begin: float, end: float, windows: tuple[tuple[float, float], ...]
 ) -> None:
     experiment = experiment_of(tmp_path, contact((begin, end)))
-    found = find_bursts(experiment, experiment.equation.prior, silent)
+    bursts = find_bursts(experiment, experiment.equation.prior, silent)
+    found = bursts[0].windows if bursts else ()
     assert len(found) == len(windows)
     np.testing.assert_allclose(np.reshape(found, (-1, 2)), np.reshape(windows, (-1, 2)), atol=0.01)
 
@@ -73,6 +74,25 @@ def test_what_was_seen_neither_to_come_nor_to_go(tmp_path: Path) -> None:
     assert find_bursts(experiment, experiment.equation.prior, silent) == ()
 
 
-def test_with_several_logs_a_contact_has_no_windows(tmp_path: Path) -> None:
-    experiment = experiment_of(tmp_path, contact(WINDOWS[0]), nothing)
-    assert find_bursts(experiment, experiment.equation.prior, silent) == ()
+def test_with_several_logs_a_contact_has_the_name_of_its_own(tmp_path: Path) -> None:
+    """Its windows count from this log's first sample."""
+    experiment = experiment_of(tmp_path, nothing, contact(WINDOWS[0]), contact(*WINDOWS[1:]))
+    second, third = find_bursts(experiment, experiment.equation.prior, silent)
+    assert (second.log, third.log) == ("log1.csv", "log2.csv")
+    np.testing.assert_allclose(second.windows, WINDOWS[:1], atol=0.01)
+    np.testing.assert_allclose(third.windows, WINDOWS[1:], atol=0.01)
+
+
+@pytest.mark.slow
+def test_diagnose_names_a_contact_in_each_of_several_logs(tmp_path: Path) -> None:
+    friction = {"viscous": False, "coulomb": False}
+    experiment_of(tmp_path, nothing, contact(WINDOWS[0]), contact(*WINDOWS[1:]))
+    config = config_with(tmp_path / "arm.yaml", friction=friction)
+    logs = [tmp_path / f"log{i}.csv" for i in range(3)]
+    command = ["diagnose", tmp_path / "arm.urdf", *logs, "--config", config, "--out", tmp_path / "out", "--json"]
+    done = idtool(*command)
+    assert done.code == 0, done.err
+    steps = [step for step in done.json["steps"] if step["effect"] != "unknown"]
+    assert [(step["effect"], step["link"]) for step in steps] == [("external_contact", "lower")] * 2
+    assert {step["parameters"]["log"] for step in steps} == {"log1.csv", "log2.csv"}
+    assert done.json["gap_closed"]["overall"] > 0.95

@@ -112,7 +112,8 @@ def parameters(effect: str) -> set[str]:
     on = {"link": "shank_link"} if issubclass(kind, LinkEffect) else {}
     with pytest.raises(ConfigError, match="needs the parameters") as caught:
         kind.from_entry(EffectEntry(effect=effect, **on), build_model(robot, Config(), JOINTS))
-    return set(re.findall(r"\w+", str(caught.value).partition("add ")[2]))
+    optional = kind.optional_parameter_names if issubclass(kind, LinkEffect) else ()
+    return {*re.findall(r"\w+", str(caught.value).partition("add ")[2]), *optional}
 
 
 def test_every_effect_is_documented_and_no_other() -> None:

@@ -46,6 +46,8 @@ SECONDS = 2.0
 LOAD = {"mass": 0.4, "com": [0.05, -0.02, 0.1], "inertia": [0.002, 0.0003, 0.003, -0.0002, 0.0001, 0.004]}
 WINDOWS = [[0.6003, 0.9], [1.25, 1.7002]]
 WRENCH = [4.0, -3.0, 5.0, 0.3, -0.2, 0.4]
+POINT = [0.1, -0.05, 0.2]
+PROFILE = [[0.6, 0.0], [0.75, 1.0], [0.9, 0.0], [1.25, 0.0], [1.35, -0.7], [1.5, -0.2], [1.7, 0.0]]
 TILTED = [0.8, -0.5, -9.7]
 
 
@@ -77,6 +79,23 @@ def pushed(link: str) -> Log:
     return recorded(model, SECONDS, pushing(model, link))
 
 
+def pushed_by_profile() -> Log:
+    """The arm with a wrench at a point of a link that comes and goes slowly."""
+    model = spec_of().compile()
+    body = model.body("tool").id
+
+    def act(data: Any) -> None:
+        middle = data.time + 0.5 / (RATE * STEPS) - 0.5 / RATE  # of the step; the first sample is half a sample late
+        share = np.interp(middle, *np.transpose(PROFILE))
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        point = data.xpos[body] + data.xmat[body].reshape(3, 3) @ POINT
+        force, moment = share * np.array(WRENCH[:3]), share * np.array(WRENCH[3:])
+        mujoco.mj_applyFT(model, data, force, moment, point, body, data.qfrc_applied)
+
+    return recorded(model, SECONDS, act)
+
+
 def pushing(model: Any, link: str) -> Act:
     """Applies the wrench by the share of each step that lies in a window; the first sample is half a sample late."""
     body, step = model.body(link).id, 1 / (RATE * STEPS)
@@ -99,6 +118,12 @@ CASES: dict[str, tuple[Callable[[], Log], dict[str, Any]]] = {
     "tilt": (tilted, on_link("gravity_tilt", None, gravity=TILTED)),
     "contact": (lambda: pushed("upper"), on_link("external_contact", "upper", windows=WINDOWS, wrench=WRENCH)),
     "contact of a tool": (lambda: pushed("tool"), on_link("external_contact", "tool", windows=WINDOWS, wrench=WRENCH)),
+    "push with a profile at a point": (
+        pushed_by_profile,
+        on_link(
+            "external_contact", "tool", windows=[[0.6, 0.9], [1.25, 1.7]], wrench=WRENCH, point=POINT, profile=PROFILE
+        ),
+    ),
 }
 
 
@@ -175,6 +200,16 @@ def test_windows_count_from_the_logs_first_sample(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         residual(experiment(urdf, csv, entry)), residual(experiment(urdf, at_zero, entry)), rtol=1e-3
     )
+
+
+def test_with_a_log_a_contact_acts_in_no_other(tmp_path: Path) -> None:
+    """Neither along the log nor in the simulation."""
+    log = pushed("tool")
+    own, other = (push(log=name) for name in ("arm.csv", "leg.csv"))
+    np.testing.assert_allclose(residuals(tmp_path, log, own)[0], residuals(tmp_path, log, push())[0], rtol=1e-9)
+    np.testing.assert_allclose(residuals(tmp_path, log, other)[0], residuals(tmp_path, log)[0], rtol=1e-9)
+    np.testing.assert_allclose(rolled_out(tmp_path, log, own), rolled_out(tmp_path, log, push()), atol=1e-9)
+    np.testing.assert_allclose(rolled_out(tmp_path, log, other), rolled_out(tmp_path, log), atol=1e-9)
 
 
 def test_outside_its_windows_a_contact_is_nothing(tmp_path: Path) -> None:
@@ -262,6 +297,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "windows that are numbers": (push(windows=[0, 1]), "external_contact: windows is not a list of lists of 2 numbers"),
     "no windows": (push(windows=[]), "external_contact: windows is not a list of lists of 2 numbers"),
     "a window backwards": (push(windows=[[1, 0]]), "external_contact: windows must be in ascending order"),
+    "a log without a name": (push(log=1), "external_contact: log is not text; give the file name of a log"),
+    "a point in a plane": (push(point=[0, 0]), "external_contact: point is not a list of 3 numbers"),
+    "a profile of numbers": (push(profile=[0, 1]), "external_contact: profile is not a list of lists of 2 numbers"),
+    "a profile backwards": (push(profile=[[1, 0], [0, 1]]), "external_contact: the times of the profile must be in"),
     "windows that touch": (push(windows=[[0, 1], [1, 2]]), "external_contact: windows must be in ascending order"),
     "a tilt of a link": (on_link("gravity_tilt", "tool", gravity=TILTED), "gravity_tilt: acts on the whole robot"),
     "a tilt in degrees": (on_link("gravity_tilt", None, gravity=5), "gravity_tilt: gravity is not a list of 3 numbers"),

@@ -9,6 +9,36 @@ from idtool.robot.model import RobotModel
 
 
 @dataclass(frozen=True)
+class Burst:
+    """Time intervals in which something acts on the robot that does not otherwise.
+
+    Attributes
+    ----------
+    windows
+        Begin and end of each [s], in order.
+    link
+        Link on which a force with the profile explains them; empty: any may, with a constant wrench.
+    point
+        Point of that link at which the force acts, in its frame [m].
+    profile
+        Times [s] and shares of the force, with straight lines between; none: it is constant.
+    log
+        File name of the log in which it acts; empty: in all.
+    """
+
+    windows: tuple[tuple[float, float], ...]
+    link: str = ""
+    point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    profile: tuple[tuple[float, float], ...] = ()
+    log: str = ""
+
+    @property
+    def parameter_count(self) -> int:
+        """Count of the numbers that describe it."""
+        return 2 * len(self.windows) + len(self.profile) + len(self.point) * any(self.point)
+
+
+@dataclass(frozen=True)
 class DataSummary:
     """Ranges of all training data.
 
@@ -33,7 +63,7 @@ class DataSummary:
     band_hz
         The filter's cut-off [Hz].
     bursts
-        Time intervals in which the residual is unusually large [s], shape (k, 2).
+        Time intervals in which the residual is unusually large, by what may act in them.
     fixed_inertia
         True if the URDF's inertia is taken as true.
     """
@@ -48,7 +78,7 @@ class DataSummary:
     dt: float
     duration: float
     band_hz: float
-    bursts: tuple[tuple[float, float], ...] = ()
+    bursts: tuple[Burst, ...] = ()
     fixed_inertia: bool = False
 
     @property

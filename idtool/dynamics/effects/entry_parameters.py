@@ -18,8 +18,8 @@ def entry_location(entry: EffectEntry) -> str:
     return f"effects: {entry.effect}"
 
 
-def check_parameter_names(entry: EffectEntry, names: tuple[str, ...]) -> None:
-    """Check that an entry gives all parameters of its effect and no others.
+def check_parameter_names(entry: EffectEntry, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> None:
+    """Check that an entry gives all parameters of its effect, perhaps the optional ones, and no others.
 
     Raises
     ------
@@ -27,8 +27,9 @@ def check_parameter_names(entry: EffectEntry, names: tuple[str, ...]) -> None:
         If it does not.
     """
     for given in entry.parameters:
-        if given not in names:
-            raise ConfigError(entry_location(entry), f"has no parameter {printable(given)}; {suggestion(given, names)}")
+        if given not in (*names, *optional):
+            advice = suggestion(given, (*names, *optional))
+            raise ConfigError(entry_location(entry), f"has no parameter {printable(given)}; {advice}")
     missing = [name for name in names if name not in entry.parameters]
     if missing:
         raise ConfigError(entry_location(entry), f"needs the parameters {join_names(names)}; add {join_names(missing)}")

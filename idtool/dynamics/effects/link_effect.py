@@ -23,7 +23,7 @@ class LinkEffect(FixedEffect):
 
     Attributes
     ----------
-    parameter_names
+    parameter_names, optional_parameter_names
         Names of the parameters.
     link
         Name of the link.
@@ -43,6 +43,7 @@ class LinkEffect(FixedEffect):
     """
 
     parameter_names: tuple[str, ...]
+    optional_parameter_names: tuple[str, ...] = ()
 
     def __init__(self, model: RobotModel, link: str, frame: Frame) -> None:
         super().__init__(model)
@@ -59,7 +60,7 @@ class LinkEffect(FixedEffect):
         if entry.link not in links:
             message = f"{printable(entry.link)} is not a link of the URDF; {suggestion(entry.link, links)}"
             raise ConfigError(entry_location(entry), message)
-        check_parameter_names(entry, cls.parameter_names)
+        check_parameter_names(entry, cls.parameter_names, cls.optional_parameter_names)
         return cls.from_checked_entry(entry, model, _link_frame(entry, entry.link, model))
 
     @classmethod

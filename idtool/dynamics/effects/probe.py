@@ -48,6 +48,8 @@ class Probe:
     column_key
         Key of the columns, if they are those of one joint and depend on nothing but q, v and a; see
         `Effect.column_key`.
+    log
+        File name of the log in which it acts; empty: in all.
     """
 
     effect: str
@@ -63,6 +65,7 @@ class Probe:
     is_local: bool = False
     parameter_count: int = 0
     column_key: Hashable | None = None
+    log: str = ""
 
     def at(self, nonlinear_values: Mapping[str, float]) -> Probe:
         """The probe at other nonlinear values."""

@@ -44,11 +44,14 @@ class Forces:
         The forward model.
     input_torque
         The torque that acts, a continuous function of time and of the state of the motor sides.
+    log
+        File name of the log whose torque it is; empty: none.
     """
 
-    def __init__(self, mechanism: Mechanism, input_torque: InputTorqueFunction) -> None:
+    def __init__(self, mechanism: Mechanism, input_torque: InputTorqueFunction, log: str = "") -> None:
         self._dynamics = RigidBodyDynamics(mechanism)
         self._input_torque = input_torque
+        self._log = log
         self._transmissions = Transmissions(mechanism) if mechanism.transmissions else None
         self.motor_coordinates = motor_coordinates(mechanism)
         nv = len(self.motor_coordinates)
@@ -136,13 +139,13 @@ class Forces:
         nv = len(self.motor_coordinates)
         if self._transmissions is None:
             tau = self._input_torque(t, q, v, rollout_ids)
-            motion = Motion(t, q, v, v, tau, tau, self._velocity_deadband, 0.0)
+            motion = Motion(t, q, v, v, tau, tau, self._velocity_deadband, 0.0, log=self._log)
             force = tau - self._link_smooth_torque(motion)
             level = self._link_friction_level(motion) if self.any_dry_friction else np.zeros_like(q)
         else:
             motor = self.motor_coordinates
             tau = self._input_torque(t, q[motor], v[motor], rollout_ids)
-            link_motion = Motion(t, q[:nv], v[:nv], v[:nv], tau, tau, self._velocity_deadband, 0.0)
+            link_motion = Motion(t, q[:nv], v[:nv], v[:nv], tau, tau, self._velocity_deadband, 0.0, log=self._log)
             motor_motion = replace(link_motion, q=q[motor], v=v[motor])
             force = self._transmissions.torque(q, v)
             force[motor] += tau

@@ -54,6 +54,8 @@ class Rollouts:
         The torque that acts, a continuous function of time and of the state of the motor sides.
     step
         The longest step [s]. All whole multiples of it after the start are ends of steps.
+    log
+        File name of the log whose torque acts; empty: none.
     """
 
     def __init__(
@@ -64,8 +66,9 @@ class Rollouts:
         v: Array,
         input_torque: InputTorqueFunction,
         step: float = LONGEST_STEP,
+        log: str = "",
     ) -> None:
-        self._forces = Forces(mechanism, input_torque)
+        self._forces = Forces(mechanism, input_torque, log)
         self._state = self._forces.initial_state(t, q, v)
         count = len(t)
         self._grid_start = t.copy()

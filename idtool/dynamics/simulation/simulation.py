@@ -190,7 +190,8 @@ class _Run:
         q, v = measured_states(signals, [window.start for window in windows])
         step = min(samples_per_step(signals) * signals.log.dt, LONGEST_STEP)
         with _immovable_as_error(mechanism):
-            self.rollouts = Rollouts(mechanism, self._t0, q + self._offset, v, self._input_torque, step)
+            log = signals.log.path.name
+            self.rollouts = Rollouts(mechanism, self._t0, q + self._offset, v, self._input_torque, step, log)
             np.linalg.cholesky(self.rollouts.mass_matrix)
         self.initial_state_vector = self.rollouts.state_vector
         shape = (len(q), len(windows), self._last.max() + 1)

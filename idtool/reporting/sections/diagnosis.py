@@ -34,6 +34,7 @@ from idtool.reporting.sections.base import (
 _MAX_INCREASE = 1.02  # times the torque error before
 _NO_REASON = "explains nearly as much; the chosen effect is simpler, likelier or explains more"
 _EXPLAINED = "Percentage of the squared residual that the effect removes on data not used for fitting"
+_MAX_ROWS = 8  # of a parameter that is a table
 
 
 class StepsSection(Section[DiagnosisReport]):
@@ -233,6 +234,8 @@ def _value_text(value: Any, error: Any) -> str:
         has_errors = isinstance(error, list | tuple) and len(error) == len(value)
         errors = error if has_errors else [None] * len(value)
         texts = [_value_text(x, e) for x, e in zip(value, errors, strict=True)]
+        if len(texts) > _MAX_ROWS:
+            return f"[{texts[0]}, …, {texts[-1]}] ({len(texts)} rows)"
         return f"[{', '.join(texts)}]"
     if value is None:
         return NO_VALUE
