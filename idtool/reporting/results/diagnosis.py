@@ -68,32 +68,6 @@ class CandidateReport(Record):
     reason: str = field("Why it was not chosen.")
 
 
-class Evidence(Record):
-    """Evidence for a step."""
-
-    score: float | None = field(
-        "Fraction of the squared residual that the effect explains on data to which it was not fitted."
-    )
-    standard_error: float | None = field("Standard error of the score.")
-    significance: float | None = field("Gain in standard errors.")
-    pair: bool = field("Whether the data cannot distinguish it from the first alternative.")
-    separate: str = field("Experiment that would distinguish the two effects; empty without a pair.")
-    simulation_before: ByJointOrNone | None = field(
-        "Position error of rollouts of the model before the step [rad or m]."
-    )
-    simulation_after: ByJointOrNone | None = field(
-        "Position error of rollouts of the model after the step; that of the model with all steps is in `after`."
-    )
-    rollout_worse: tuple[str, ...] = field(
-        "Joints whose simulation is worse although their torque is predicted better."
-    )
-    sentence: str = field("Description of the step.")
-    doubt: str = field("Reason for doubt, such as a size that differs between logs; empty: none.")
-    parts: tuple[PartReport, ...] = field(
-        "Size of the effect on each log by itself, or on the two halves of the only one; empty if not known."
-    )
-
-
 class PartReport(Record):
     """Size of an effect on a part of the data."""
 
@@ -126,6 +100,32 @@ class EffectProfileReport(Record):
     after: ResidualBins = field("Residual of the model after the step.")
     effect_torque: Vector | None = field(
         "Mean torque of the effect in each bin [N·m or N]; null if it is not a function of the cause."
+    )
+
+
+class Evidence(Record):
+    """Evidence for a step."""
+
+    score: float | None = field(
+        "Fraction of the squared residual that the effect explains on data to which it was not fitted."
+    )
+    standard_error: float | None = field("Standard error of the score.")
+    significance: float | None = field("Gain in standard errors.")
+    pair: bool = field("Whether the data cannot distinguish it from the first alternative.")
+    separate: str = field("Experiment that would distinguish the two effects; empty without a pair.")
+    simulation_before: ByJointOrNone | None = field(
+        "Position error of rollouts of the model before the step [rad or m]."
+    )
+    simulation_after: ByJointOrNone | None = field(
+        "Position error of rollouts of the model after the step; that of the model with all steps is in `after`."
+    )
+    rollout_worse: tuple[str, ...] = field(
+        "Joints whose simulation is worse although their torque is predicted better."
+    )
+    sentence: str = field("Description of the step.")
+    doubt: str = field("Reason for doubt, such as a size that differs between logs; empty: none.")
+    parts: tuple[PartReport, ...] = field(
+        "Size of the effect on each log by itself, or on the two halves of the only one; empty if not known."
     )
 
 
