@@ -388,7 +388,8 @@ def _noise_floor(search: EffectSearch, structure: Sequence[Candidate]) -> NoiseF
     """Noise floor by the residual away from reversals, without what is known to be structure."""
     fitted = search.current
     floor = estimate_noise_floor(fitted.experiment, fitted.estimate.theta, search.progress, fitted.reversal_margin)
-    return floor.without_structure(np.array([candidate.score for candidate in structure]))
+    scores = np.array([candidate.score for candidate in structure])
+    return floor.without_structure(scores).with_coloured_noise(scores == 0)
 
 
 def _reported_floor(floor: NoiseFloor, remaining: ErrorSummary, after: ErrorSummary) -> dict[str, float]:

@@ -28,6 +28,7 @@ _QUIET = 0.25  # quantile of the periodograms
 _QUIET_OF_MEAN = -np.log(1 - _QUIET)  # that quantile of noise, over its mean
 _MIN_WINDOWS = 12
 _MAX_UNDEFINED_SHARE = 0.03  # of a filtered sample's weight, where an effect other than friction is undefined
+_MAX_COLOUR = 15.0  # ratio of the residual's slow power to that of white noise, up to which it may be noise
 _MIN_MOVING = 0.7  # share of a window in which the joint moves
 
 
@@ -56,6 +57,17 @@ class NoiseFloor:
         noise = np.minimum(self.noise, self.residual * np.sqrt(noise_share))
         power = np.square(self.rms) - np.square(self.noise) + np.square(noise)
         return replace(self, noise=noise, rms=np.sqrt(np.maximum(power, 0.0)))
+
+    def with_coloured_noise(self, without_structure: Mask) -> NoiseFloor:
+        """Floor if the residual of joints, shape (nv,), is noise whose power falls with the frequency.
+
+        That is what remains where nothing explains it and its slow power is only some times that of white noise; what a
+        model lacks has hundreds of times as much.
+        """
+        is_noise = without_structure & (self.slow_power_ratio < _MAX_COLOUR)
+        noise = np.where(is_noise, self.residual, self.noise)
+        power = np.square(self.rms) - np.square(self.noise) + np.square(noise)
+        return replace(self, noise=noise, rms=np.sqrt(power))
 
 
 def estimate_noise_floor(
