@@ -1,0 +1,103 @@
+"""Evidence for an effect: its size on parts of the data, its share of the residual, and the held-out error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from disturbed import experiment_of, nothing, silent, torque_on_joint
+
+from idtool.diagnosis.confirmation import contradiction, estimate_on_parts
+from idtool.diagnosis.diagnose import Options, diagnose
+from idtool.diagnosis.held_out_error import worsens_held_out_error
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.records import Diagnosis, PartEstimate
+from idtool.diagnosis.trial import with_effects
+from idtool.diagnosis.unproven import find_unproven
+from idtool.estimation.dataset.experiment import Experiment
+from idtool.robot.config import EffectEntry
+
+STIFFNESS, OFFSET = 3.0, 0.5  # N·m/rad, N·m
+EFFECTS = ("parallel_spring", "torque_offset", "quadratic_drag")
+SPRING = EffectEntry(effect="parallel_spring", joint="j1", parameters={"stiffness": 0.0, "rest_position": 0.4})
+DRAG = EffectEntry(effect="quadratic_drag", joint="j2", parameters={"drag": 0.0})
+
+spring = torque_on_joint(0, lambda t, q, v, tau: STIFFNESS * (q - 0.4))
+stiffer = torque_on_joint(0, lambda t, q, v, tau: 2 * STIFFNESS * (q - 0.4))
+stiffening = torque_on_joint(0, lambda t, q, v, tau: STIFFNESS * (1 + 0.3 * t / t[-1]) * (q - 0.4))
+
+
+def fitted(experiment: Experiment, *entries: EffectEntry) -> LinearizedFit:
+    return linearize_fit(with_effects(experiment, entries), silent)
+
+
+def sizes(experiment: Experiment) -> list[PartEstimate]:
+    """Size of a spring on the parts of the data."""
+    current = fitted(experiment, SPRING)
+    (found,) = estimate_on_parts(current, [current.experiment.config.effects[-1]], 10.0, silent)
+    return found
+
+
+def test_a_spring_has_its_stiffness_on_both_halves(tmp_path: Path) -> None:
+    found = sizes(experiment_of(tmp_path, spring))
+    assert [(one.part, one.parameter) for one in found] == [("first half", "stiffness"), ("second half", "stiffness")]
+    for one in found:
+        assert abs(one.value - STIFFNESS) < 4 * one.standard_error < 0.5
+    assert contradiction(found) == ""
+
+
+def test_a_spring_that_is_another_in_another_log_is_contradicted(tmp_path: Path) -> None:
+    found = sizes(experiment_of(tmp_path, spring, stiffer))
+    assert [one.part for one in found] == ["log0.csv", "log1.csv"]
+    assert [one.value for one in found] == pytest.approx([STIFFNESS, 2 * STIFFNESS], rel=0.05)
+    clause = contradiction(found)
+    assert clause.startswith("its stiffness is 3")
+    assert "in log0.csv, but 6" in clause
+
+
+def diagnosed(experiment: Experiment) -> Diagnosis:
+    return diagnose(experiment, Options(effects=EFFECTS, simulate=False), silent)
+
+
+def test_what_the_data_contradict_is_doubtful(tmp_path: Path) -> None:
+    found = diagnosed(experiment_of(tmp_path, stiffening))
+    step = next(step for step in found.steps if step.chosen.effect == "parallel_spring")
+    assert len(step.parts) == 2
+    assert "is not the same everywhere in the data: its stiffness is" in step.doubt
+    assert found.verdict == "partly_explained"
+
+
+def test_what_holds_everywhere_is_not(tmp_path: Path) -> None:
+    (step,) = diagnosed(experiment_of(tmp_path, spring)).steps
+    assert (step.chosen.effect, len(step.parts), step.doubt) == ("parallel_spring", 2, "")
+
+
+@pytest.mark.parametrize(("rest", "unproven"), [(0.0, None), (0.4, 1)])
+def test_a_small_effect_must_bring_its_joint_to_the_noise_floor(
+    tmp_path: Path, rest: float, unproven: int | None
+) -> None:
+    """A drag beside a much larger spring: believed alone, not where something else remains of the same joint's residual."""
+
+    def hidden(t: Any, q: Any, v: Any, tau: Any) -> Any:
+        second = torque_on_joint(1, lambda t, q, v, tau: 0.012 * v * np.abs(v) + rest * np.sin(9 * t))
+        return stiffer(t, q, v, tau) + second(t, q, v, tau)
+
+    experiment = experiment_of(tmp_path, hidden)
+    current = fitted(experiment, SPRING, DRAG)
+    without = [linearize_fit(with_effects(experiment, [one]), silent, current) for one in (DRAG, SPRING)]
+    assert find_unproven(current, without, silent) == unproven
+
+
+def test_the_held_out_error_counts_what_is_lost_there(tmp_path: Path) -> None:
+    """A spring that ends with the training data costs much of the rest; one that lasts gains, none does neither."""
+
+    def ending(t: Any, q: Any, v: Any, tau: Any) -> Any:
+        return spring(t, q, v, tau) * (t < 0.69 * t[-1])
+
+    for hidden, worsens in ((ending, True), (spring, False), (nothing, False)):
+        experiment = experiment_of(tmp_path, hidden)
+        before = fitted(experiment)
+        after = linearize_fit(with_effects(experiment, [SPRING]), silent, before)
+        assert worsens_held_out_error(before, after) is worsens
