@@ -10,8 +10,9 @@ from functools import partial
 import numpy as np
 
 from idtool.common.notice import Notice, unique
-from idtool.diagnosis.confirmation import coefficient_covariance, contradiction, estimate_on_parts
+from idtool.diagnosis.confirmation import coefficient_covariance, estimate_on_parts
 from idtool.diagnosis.data_faults import find_data_faults
+from idtool.diagnosis.doubts import doubt_about
 from idtool.diagnosis.effect_profile import effect_profile
 from idtool.diagnosis.effect_search import REVERSAL_MARGIN, AddedEffect, EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit, evaluate_errors
@@ -36,10 +37,9 @@ from idtool.diagnosis.screen import screen_probes
 from idtool.diagnosis.stages import Stages
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
+from idtool.diagnosis.unbiased_delay import with_unbiased_delay
 from idtool.diagnosis.words import distinguishing_experiment, fitted_along_sentence, step_sentence, with_doubts
-from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types, friction_types
-from idtool.dynamics.effects.joint_effect import JointEffect
-from idtool.estimation.command_delay import CommandDelay, with_delay
+from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.fit import Fit, fit
@@ -98,7 +98,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         If the logs or the model cannot be used, or an effect cannot be where it is assumed.
     """
     started = time.perf_counter()
-    experiment, delay = _with_unbiased_delay(experiment, progress)
+    experiment, delay = with_unbiased_delay(experiment, progress)
     experiment = replace(experiment, cache=BatchCache())
     before_search = Stages(interrupted=False)
     no_faults: tuple[Notice, ...] = ()
@@ -147,36 +147,6 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         notices=unique([*delay_notices, *_doubt_notices(steps), *_search_notices(search), *skipped]),
         seconds=time.perf_counter() - started,
     )
-
-
-def _with_unbiased_delay(experiment: Experiment, progress: Progress) -> tuple[Experiment, CommandDelay | None]:
-    """Experiment with the delay from command to torque, where it is to be fitted.
-
-    A rotor that the model lacks moves the delay by milliseconds, and so it is fitted beside the effects that any joint
-    may well have.
-    """
-    configured = experiment.config.effects
-    friction = {(key, joint.name) for joint in experiment.model.joints for key in _friction_of(experiment, joint.name)}
-    present = friction | {(entry.effect, entry.joint) for entry in configured}
-    commonplace = []
-    for kind in effect_types().values():
-        if not (kind.is_commonplace and issubclass(kind, JointEffect)):
-            continue
-        for j, joint in enumerate(experiment.model.joints):
-            if (kind.id, joint.name) not in present and kind.may_act_on(experiment.model, j):
-                commonplace.append(kind.zero_entry(joint.name))
-    try:
-        extended = with_effects(experiment, [*configured, *commonplace])
-        fitted, delay, _ = with_delay(extended, progress)
-    except FAILURES:
-        fitted, delay, _ = with_delay(experiment, progress)
-    return with_effects(fitted, configured), delay
-
-
-def _friction_of(experiment: Experiment, joint: str) -> list[str]:
-    """Ids of the effects that a joint has as its friction."""
-    types = friction_types()
-    return [types[key].id for key, setting in experiment.config.friction_of(joint) if setting]
 
 
 def _maps(model: Fit, progress: Progress) -> ProfilesByJoint:
@@ -231,38 +201,14 @@ def _confirmed(
     estimate = partial(estimate_on_parts, search.current, entries, inflation, search.progress)
     unconfirmed: list[list[PartEstimate]] = [[] for _ in entries]
     parts = stages.run("the confirmation on parts of the data", estimate, unconfirmed)
+    floor_rms = dict(zip(search.current.experiment.equation.joints, floor.rms.tolist(), strict=True))
+    floor_rms["overall"] = float(np.sqrt(np.mean(np.square(floor.rms))))
     confirmed = []
     for step, estimates in zip(steps, parts, strict=True):
-        doubt = step.doubt or _contradiction_sentence(step, estimates)
-        doubt = doubt or _partial_explanation(step, floor, remaining)
-        confirmed.append(replace(step, parts=tuple(estimates), doubt=doubt))
+        with_parts = replace(step, parts=tuple(estimates))
+        doubt = step.doubt or doubt_about(with_parts, floor_rms, remaining.torque)
+        confirmed.append(replace(with_parts, doubt=doubt))
     return confirmed
-
-
-def _contradiction_sentence(step: DiagnosisStep, estimates: Sequence[PartEstimate]) -> str:
-    """Doubt about an effect that has different sizes on parts of the data."""
-    clause = contradiction(estimates)
-    if not clause:
-        return ""
-    subject = f"{step.chosen.effect} on {step.chosen.target}"
-    return f"{subject} is not the same everywhere in the data: {clause}; something else may be behind it"
-
-
-def _partial_explanation(step: DiagnosisStep, floor: NoiseFloor, remaining: ErrorSummary) -> str:
-    """Doubt about an effect that explains less than what remains of its joint's residual above the noise floor."""
-    joint = step.chosen.joint or "overall"
-    floors = dict(zip((name for name, _ in _by_joint(remaining.torque)), floor.rms.tolist(), strict=True))
-    floors["overall"] = float(np.sqrt(np.mean(np.square(floor.rms))))
-    explained = step.before.torque[joint] ** 2 - step.after.torque[joint] ** 2
-    unexplained = remaining.torque[joint] ** 2 - floors[joint] ** 2
-    if explained > unexplained:
-        return ""
-    share = max(explained, 0.0) / (max(explained, 0.0) + unexplained)
-    where = "all joints" if joint == "overall" else joint
-    return (
-        f"{step.chosen.effect} explains {100 * share:.0f} % of what the squared residual of {where} had above the "
-        "noise floor, and most of the rest is unexplained: something else may be behind both"
-    )
 
 
 def _fit_with_effects(search: EffectSearch, first: Fit, simulate: bool) -> Fit:

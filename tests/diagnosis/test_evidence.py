@@ -78,7 +78,7 @@ def test_what_holds_everywhere_is_not(tmp_path: Path) -> None:
 def test_a_small_effect_must_bring_its_joint_to_the_noise_floor(
     tmp_path: Path, rest: float, unproven: int | None
 ) -> None:
-    """A drag beside a much larger spring: believed alone, not where something else remains of the same joint's residual."""
+    """A drag beside a much larger spring: believed alone, not where something else remains on the same joint."""
 
     def hidden(t: Any, q: Any, v: Any, tau: Any) -> Any:
         second = torque_on_joint(1, lambda t, q, v, tau: 0.012 * v * np.abs(v) + rest * np.sin(9 * t))

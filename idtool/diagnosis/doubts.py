@@ -1,0 +1,36 @@
+"""Doubts about effects that the data do not confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from idtool.diagnosis.confirmation import contradiction
+from idtool.diagnosis.records import DiagnosisStep
+
+
+def doubt_about(step: DiagnosisStep, floor: Mapping[str, float], remaining: Mapping[str, float]) -> str:
+    """What speaks against the effect of a step, a plain sentence; empty if nothing does.
+
+    Parameters
+    ----------
+    step
+        The step, with the size of its effect on parts of the data.
+    floor, remaining
+        Noise floor, and error with all effects, by joint and ``overall`` [N·m or N].
+    """
+    clause = contradiction(step.parts)
+    if clause:
+        subject = f"{step.chosen.effect} on {step.chosen.target}"
+        return f"{subject} is not the same everywhere in the data: {clause}; something else may be behind it"
+
+    joint = step.chosen.joint or "overall"
+    explained = max(step.before.torque[joint] ** 2 - step.after.torque[joint] ** 2, 0.0)
+    unexplained = remaining[joint] ** 2 - floor[joint] ** 2
+    if explained >= unexplained:
+        return ""
+    share = explained / (explained + unexplained)
+    where = step.chosen.joint or "all joints"
+    return (
+        f"{step.chosen.effect} explains {100 * share:.0f} % of what the squared residual of {where} had above the "
+        "noise floor, and most of the rest is unexplained: something else may be behind both"
+    )
