@@ -427,10 +427,13 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
         message = f"{search.stopped}; the effects found by then are reported"
         yield Notice("search_interrupted", "warning", None, message, "run it again for the rest")
     if search.reversal_joints:
+        sizes = []
+        for name, (rms, rms_away) in search.reversal_joints.items():
+            sizes.append(f"{name} ({rms:.3g} RMS with these samples, {rms_away:.3g} without)")
         message = (
-            f"within {1e3 * REVERSAL_MARGIN:.0f} ms of reversals, friction on {', '.join(search.reversal_joints)} "
-            "does not follow Coulomb's law, as if a simulator smoothed the friction; these samples were excluded "
-            "in the last steps of the search"
+            f"within {1e3 * REVERSAL_MARGIN:.0f} ms of reversals, friction does not follow Coulomb's law on "
+            f"{', '.join(sizes)}, as if a simulator smoothed the friction; these samples were excluded in the last "
+            "steps of the search"
         )
         yield Notice("reversals_left_aside", "warning", None, message)
 

@@ -118,11 +118,10 @@ class EffectSearch:
     last_round
         The round that found nothing more.
     reversal_joints
-        Joints whose friction does not follow its law near reversals; the rows near reversals are then excluded.
+        Joints whose friction does not follow its law near reversals, with their rms residual with and without the rows
+        near them [N·m or N]; these rows are then excluded.
     failed
         Reason why the model could not be fitted with an effect, by effect and target.
-    unproven
-        Effects that were removed again because too little speaks for them.
     stopped
         Why the search ended before it was complete; empty if it was.
     is_interrupted
@@ -160,9 +159,8 @@ class EffectSearch:
         self.added: list[AddedEffect] = []
         self.removed: list[str] = []
         self.last_round: SelectionStep | None = None
-        self.reversal_joints: tuple[str, ...] = ()
+        self.reversal_joints: dict[str, tuple[float, float]] = {}
         self.failed: dict[tuple[str, str], str] = {}
-        self.unproven: list[Candidate] = []
         self._skipped: set[ProbeKey] = set()
         self._configured = experiment.config.effects
         self._dt = max(run.signals.log.dt for run in experiment.runs)
@@ -196,6 +194,7 @@ class EffectSearch:
         if selection.winner is None or self._add(selection, selection.winner, is_assumed=True):
             what = f"{effect}:{target or 'any joint'} cannot be added"
             raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
+        self._complete = self._state()
 
     def run(self) -> None:
         """Add effects until none is worthwhile, the time is over, or Ctrl-C; what was found by then remains."""
@@ -278,19 +277,26 @@ class EffectSearch:
         self.current = linearize_fit(self.current.experiment, self.progress, reversal_margin=margin)
         self._try_refit([effect.entry for effect in self.added])
 
-    def _joints_clearer_away_from_reversals(self) -> tuple[str, ...]:
-        """Joints with much more information without the rows near reversals; none if another joint loses too much."""
+    def _joints_clearer_away_from_reversals(self) -> dict[str, tuple[float, float]]:
+        """Joints with much more information without the rows near reversals; none if another joint loses too much.
+
+        Returns
+        -------
+        Their rms residual with and without these rows [N·m or N].
+        """
         try:
             away = linearize_fit(self.current.experiment, self.progress, reversal_margin=REVERSAL_MARGIN)
         except FAILURES:
-            return ()
+            return {}
         information = _information(self.current)
         information_away = _information(away)
         if (information_away < _MIN_INFORMATION_LEFT * information).any():
-            return ()
+            return {}
         is_clearer = information_away > _MIN_INFORMATION_GAIN * information
+        rms = _rms_residual(self.current)
+        rms_away = _rms_residual(away)
         joints = away.experiment.equation.joints
-        return tuple(name for name, clearer in zip(joints, is_clearer, strict=True) if clearer)
+        return {joints[j]: (float(rms[j]), float(rms_away[j])) for j in np.flatnonzero(is_clearer)}
 
     def _add_effects(self, min_share: float = MIN_SHARE) -> None:
         """Add effects in rounds, until no candidate is worthwhile or a set of effects recurs."""
@@ -496,7 +502,6 @@ class EffectSearch:
                 self._restore(before)
                 return
             self.removed.append(unproven_sentence(effect.chosen))
-            self.unproven.append(effect.chosen)
 
     def _reductions(self) -> list[LinearizedFit]:
         """Models without each of the reported effects, on the rows of the present one."""
@@ -549,6 +554,11 @@ class EffectSearch:
 def _information(fit: LinearizedFit) -> Array:
     """Fisher information of the rows on an offset of each joint's torque, shape (nv,)."""
     return np.asarray(fit.row_counts.sum(axis=0) / np.square(fit.noise))
+
+
+def _rms_residual(fit: LinearizedFit) -> Array:
+    """Rms residual of each joint's rows, shape (nv,) [N·m or N]."""
+    return np.asarray(fit.noise * np.sqrt(fit.sse.sum(axis=0) / np.maximum(fit.row_counts.sum(axis=0), 1.0)))
 
 
 def _missing_background(entries: Sequence[EffectEntry]) -> tuple[EffectEntry, ...]:
