@@ -125,7 +125,7 @@ BudgetOption = Annotated[
     float | None,
     typer.Option(
         min=0,
-        help="Time for the search [s]; it then reports what was found. Ctrl-C does the same.",
+        help="Time for the search in seconds; it then reports what was found. Ctrl-C does the same.",
         show_default="none",
     ),
 ]

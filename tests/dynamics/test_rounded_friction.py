@@ -127,7 +127,7 @@ def test_friction_that_is_rounded_off_in_time_is_no_disagreement(tmp_path: Path)
     for name, note in zip(("shoulder", "elbow"), notes, strict=True):
         assert note.startswith(f"{name}: friction changes its sign gradually around zero speed")
         (lead,) = re.findall(r"lead ([0-9.]+)", note)
-        assert float(lead) == pytest.approx(LEAD, abs=0.002)
+        assert float(lead) == pytest.approx(LEAD, abs=0.002 if name == "shoulder" else 0.01)  # less friction
 
 
 def test_what_it_would_hide_is_found(tmp_path: Path) -> None:

@@ -338,6 +338,7 @@ class Asked:
     most: int
     assumed: tuple[tuple[str, str | None], ...]
     simulated: bool
+    budget: float | None
 
 
 @pytest.fixture
@@ -364,7 +365,7 @@ def test_the_command_writes_its_files_and_its_report_alone_to_standard_output(
     assert set(files(tmp_path / "out")) == {"diagnosis.json", "diagnosis.html", "model.yaml", "identified.urdf"}
     assert strict_json((tmp_path / "out" / "diagnosis.json").read_text()) == done.json
     assert "The model lacks Stribeck friction on hip" in done.err
-    assert asked == [Asked("refit", None, 12, (), True)]
+    assert asked == [Asked("refit", None, 12, (), True, None)]
     entry, late = yaml.safe_load((tmp_path / "out" / "model.yaml").read_text())["effects"]
     assert (entry["effect"], entry["joint"]) == ("stribeck_friction", "hip")
     assert set(entry["parameters"]["stribeck"]) == {"value", "standard_error"}
@@ -378,11 +379,12 @@ def test_the_command_writes_its_files_and_its_report_alone_to_standard_output(
 def test_the_commands_options(tmp_path: Path, asked: list[Asked]) -> None:
     options = ["--inertia", "fixed", "--effects", "torque_ripple, end_stop", "--max-effects", "2", "--no-simulation"]
     options += ["--assume", "time_delay", "--assume", "end_stop:knee", "--assume", "payload:shank_link"]
+    options += ["--budget", "90"]
     done = idtool("diagnose", LEG, LOG, *options, "--report-only", "--quiet", "--explain", "--out", tmp_path)
     assert (done.code, done.out, done.err) == (0, "", "")
     assert set(files(tmp_path)) == {"diagnosis.json", "diagnosis.html"}
     assumed = (("time_delay", None), ("end_stop", "knee"), ("payload", "shank_link"))
-    assert asked == [Asked("fixed", ("torque_ripple", "end_stop"), 2, assumed, False)]
+    assert asked == [Asked("fixed", ("torque_ripple", "end_stop"), 2, assumed, False, 90.0)]
 
 
 @pytest.mark.parametrize(
