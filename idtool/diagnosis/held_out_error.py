@@ -56,11 +56,11 @@ def worsens_held_out_error(before: LinearizedFit, after: LinearizedFit) -> bool:
     Parameters
     ----------
     before
-        The model without the effect, at whose rows and in whose units the errors count.
+        The model without the effect, in whose units the errors count.
     after
-        The model with it.
+        The model with it, at the rows where its columns are defined.
     """
-    row_equation = before.experiment.equation
+    row_equation = after.experiment.equation
     unit = np.square(before.noise)
     errors_before = held_out_mean_squares(before, row_equation) / unit
     change = held_out_mean_squares(after, row_equation) / unit - errors_before
