@@ -167,12 +167,20 @@ def _residual_as_floor(errors: ErrorSummary) -> NoiseFloor:
 
 
 def _remove_harmful(search: EffectSearch, first: Fit) -> None:
-    """Remove effects that, in the order in which they are reported, increase the held-out error."""
+    """Order the effects so that each lowers the held-out error, and remove those that lower it in no place.
+
+    Before the largest effect is in the model, a smaller one that is right may increase the error.
+    """
+    moves = 0
     while search.reported:
         harmful = _first_harmful(search, errors_of_fit(first))
         if harmful is None:
             return
-        search.remove(harmful, "it increases the error on the held-out data")
+        if harmful is search.reported[-1] or moves >= len(search.reported) ** 2:
+            search.remove(harmful, "it increases the error on the held-out data")
+        else:
+            search.move_to_end(harmful)
+            moves += 1
 
 
 def _first_harmful(search: EffectSearch, before: ErrorSummary) -> AddedEffect | None:

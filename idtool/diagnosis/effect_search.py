@@ -54,6 +54,7 @@ _MIN_INFORMATION_GAIN = 4.0
 _MIN_INFORMATION_LEFT = 0.5
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
 _MAX_REPLACEMENTS = 3
+_REFITS = 2  # where columns depend on the values of the coefficients
 _SURE_CHANGE = 2.0  # standard errors by which a model must be better to replace another
 _MAX_ITERATIONS = 6  # of the fit of all nonlinear parameters after an effect was added
 
@@ -215,8 +216,7 @@ class EffectSearch:
         """Return to the last model that was complete."""
         self.stopped = reason
         self._restore(self._complete)
-        if self.current.reversal_margin:
-            self.current = linearize_fit(self.current.experiment, self.progress)
+        self._settle()
 
     def _run(self) -> None:
         """Add effects until none is worthwhile.
@@ -243,14 +243,30 @@ class EffectSearch:
         self._reconsider()
         self._remove_unproven()
         self._drop_undetermined_parameters()
-        if self.current.reversal_margin:
-            self.current = linearize_fit(self.current.experiment, self.progress)
+        self._settle()
+
+    def _settle(self) -> None:
+        """Fit the present model on all rows, with columns that depend on its coefficients at their final values."""
+        refits = _REFITS if self.current.experiment.equation.depends_on_parameters else int(self._has_margin)
+        for _ in range(refits):
+            entries = self.current.experiment.config.effects
+            experiment = with_effects(self.current.experiment, entries, self.current.theta)
+            self.current = linearize_fit(experiment, self.progress)
+
+    @property
+    def _has_margin(self) -> bool:
+        """True if rows near reversals are excluded."""
+        return self.current.reversal_margin > 0
 
     def remove(self, effect: AddedEffect, reason: str) -> None:
         """Remove an effect for a reason, a clause of a sentence."""
         self.added = [other for other in self.added if other is not effect]
         self._try_refit([other.entry for other in self.added])
         self.removed.append(f"{effect.chosen.effect} on {effect.chosen.target} was removed again: {reason}")
+
+    def move_to_end(self, effect: AddedEffect) -> None:
+        """Report an effect after all others."""
+        self.added = [*(other for other in self.added if other is not effect), effect]
 
     def remove_failed(self, effect: AddedEffect, failure: Exception) -> None:
         """Remove an effect with which the whole model cannot be fitted."""
