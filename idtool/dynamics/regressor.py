@@ -53,17 +53,18 @@ class LinearModel:
 
     def _model_without(self, effect: Effect) -> Callable[[Motion], Linearization]:
         """The model without effects of one kind, along a true motion, which no effect corrects again."""
-        others = tuple(
+        others = [
             other
             for other in self.effects
             if type(other) is not type(effect) and type(other).correct_motion is Effect.correct_motion
-        )
+        ]
         latest: LinearizedModel | None = None  # several effects ask about one motion
 
         def along(motion: Motion) -> Linearization:
             nonlocal latest
             if latest is None or latest.measured_motion is not motion:
-                equation = LinearModel(self.joints, others)
+                copies = tuple(copy(other) for other in others)  # those of this model keep their operating point
+                equation = LinearModel(self.joints, copies, self.operating_point)
                 theta = np.array([self.operating_point.get(c.key, c.prior) for c in equation.coefficients])
                 latest = LinearizedModel(equation, theta, motion)
             return latest

@@ -148,6 +148,33 @@ def test_friction_and_offset_add_to_the_joints_that_have_them(build: Callable[..
     np.testing.assert_allclose(added, [0.5 * v[0] + 0.7 * np.sign(v[0]) + 0.2, 0, 0.3 * np.sign(v[2])], atol=1e-9)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_effects_that_depend_on_the_torque_take_each_other_at_their_fitted_coefficients(
+    build: Callable[..., RobotModel], leg: str, order: int
+) -> None:
+    leak, share = 0.3, 0.2
+    coupling = {"effect": "transmission_coupling", "joint": "hip", "parameters": {"source": "knee", "coefficient": 0}}
+    friction = {"effect": "load_dependent_friction", "joint": "knee", "parameters": {"coefficient": 0}}
+    no_friction = {"viscous": False, "coulomb": False}
+    config = {"friction": no_friction, "effects": [coupling, friction][::order]}
+    model = build(leg, ("hip", "knee"), **config)
+    hip, knee = model.names.index("hip"), model.names.index("knee")
+    equation = LinearModel(model.names, build_effects(model, parse_config(config, "")))
+    fitted = {"transmission_coupling": leak, "load_dependent_friction": share}
+    theta = np.array([fitted.get(c.effect, c.prior) for c in equation.coefficients])
+    motion = random_motion(np.random.default_rng(0), len(model.names), 50)
+    motion.v[knee] = 0.1 + np.abs(motion.v[knee])
+
+    bodies = LinearModel(model.names, (RigidBodies(model),))
+    rigid = bodies.torque(motion, bodies.prior)
+    # What the motor gives, x, overcomes the load and its own share: x = load + share abs(x).
+    driven = rigid[knee] / (1 - share * np.sign(rigid[knee]))
+
+    predicted = equation.linearized_at(theta).torque(motion, theta)
+    np.testing.assert_allclose(predicted[knee], driven, rtol=1e-9)
+    np.testing.assert_allclose(predicted[hip], rigid[hip] - leak * driven, rtol=1e-9)
+
+
 class Nothing(Effect):
     """An effect without coefficients, that cannot know the first joint's columns at some samples."""
 
