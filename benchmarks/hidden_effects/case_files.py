@@ -24,7 +24,7 @@ from hidden_effects.friction import draw_friction
 from hidden_effects.logs import Recording, record, write_log
 from hidden_effects.magnitudes import draw_parameters
 from hidden_effects.motion import draw_motion
-from hidden_effects.robots import ROBOTS, Body, Robot, Truth, draw_truth, rotor, urdf_text
+from hidden_effects.robots import ROBOTS, Body, Robot, Truth, draw_truth, links_with_motors, rotor, urdf_text
 
 _MAX_TRIES = 8
 _STRENGTHENING = 1.05  # of motors, until they keep their command
@@ -84,8 +84,10 @@ def write_case(case: Case, folder: Path) -> CaseFiles:
     hidden, recorded = _with_strong_motors(hidden, record_all)
     recordings = dict(zip(paths, recorded, strict=True))
 
-    files.urdf.write_text(urdf_text(robot))
-    files.config.write_text(yaml.safe_dump(_config(robot, hidden), sort_keys=False))
+    friction_terms, without_rotor = config_omissions(hidden)
+    files.urdf.write_text(urdf_text(robot, links_with_motors(robot, without_rotor)))
+    config = _config(robot, friction_terms, without_rotor)
+    files.config.write_text(yaml.safe_dump(config, sort_keys=False))
     content = {
         "case": case.name,
         "robot": case.robot,
@@ -124,9 +126,8 @@ def _with_strong_motors(
     return hidden, record_all(hidden)
 
 
-def _config(robot: Robot, hidden: tuple[HiddenEffect, ...]) -> dict[str, Any]:
+def _config(robot: Robot, friction: dict[str, dict[str, bool]], without_rotor: set[str]) -> dict[str, Any]:
     """The designer's configuration: rotors, and the friction that the model has."""
-    friction, without_rotor = config_omissions(hidden)
     rotors = {}
     for joint in robot.joints:
         if joint.name in without_rotor:

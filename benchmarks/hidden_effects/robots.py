@@ -9,7 +9,7 @@ Letters: inertia about the centre of mass [kg m^2]; gear: turns of the rotor per
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -235,6 +235,35 @@ def urdf_text(robot: Robot, links: Mapping[str, Body] | None = None) -> str:
         limit = f'<limit {position} effort="{joint.effort}" velocity="{joint.velocity}"/>'
         lines.append(f'<joint name="{joint.name}" type="revolute">{ends}{pose}{limit}</joint>')
     return "\n".join([*lines, "</robot>\n"])
+
+
+def links_with_motors(robot: Robot, joints: Collection[str]) -> dict[str, Body]:
+    """Bodies of the designer's links, those that carry the motors of some joints as one body with them.
+
+    Without a rotor of its own in the configuration, a motor is part of its link, as in any drawing.
+    """
+    links = dict(robot.links)
+    for joint in robot.joints:
+        if joint.name in joints and joint.parent in links:
+            links[joint.parent] = _joined(links[joint.parent], _on_parent(rotor(joint), joint))
+    return links
+
+
+def _on_parent(body: Body, joint: Joint) -> Body:
+    """A body in the frame of a joint, in that of the joint's parent."""
+    R = Rotation.from_euler("xyz", joint.rpy).as_matrix()
+    return Body(body.mass, np.array(joint.xyz) + R @ body.com, R @ body.inertia @ R.T)
+
+
+def _joined(a: Body, b: Body) -> Body:
+    """Two bodies as one."""
+    mass = a.mass + b.mass
+    com = (a.mass * a.com + b.mass * b.com) / mass
+    inertia = a.inertia + b.inertia
+    for body in (a, b):
+        d = body.com - com
+        inertia = inertia + body.mass * (d @ d * np.eye(3) - np.outer(d, d))
+    return Body(mass, com, inertia)
 
 
 def _text(values: Array | tuple[float, ...]) -> str:

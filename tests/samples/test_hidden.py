@@ -17,7 +17,18 @@ from hidden_effects.logs import Sensors, measured_torque, record
 from hidden_effects.magnitudes import EFFECTS
 from hidden_effects.motion import draw_motion, nominal_torque
 from hidden_effects.plant import AddedPhysics, JointState, MujocoTree, Plant
-from hidden_effects.robots import ARM6, LEG3, PLANAR2, ROBOTS, Robot, Truth, draw_truth, urdf_text
+from hidden_effects.robots import (
+    ARM6,
+    LEG3,
+    PLANAR2,
+    ROBOTS,
+    Robot,
+    Truth,
+    draw_truth,
+    links_with_motors,
+    rotor,
+    urdf_text,
+)
 from numpy.typing import NDArray
 from scoreboard import read_outcome
 
@@ -49,6 +60,21 @@ def test_bodies_and_rotors_are_those_of_pinocchio(robot: Robot, rng: np.random.G
     for q, v, a in rng.normal(size=(5, 3, len(robot.joints))):
         M, bias = tree.mass_matrix_and_bias(q, v)
         np.testing.assert_allclose(M @ a + bias, torque_by_pinocchio(robot, truth, q, v, a), rtol=1e-9, atol=1e-9)
+
+
+def test_motors_without_a_rotor_of_their_own_are_part_of_their_links() -> None:
+    joint = ARM6.joints[4]
+    links = links_with_motors(ARM6, {joint.name})
+    body = rotor(joint)
+    motor = pin.Inertia(body.mass, body.com, body.inertia)
+    place = pin.SE3(pin.rpy.rpyToMatrix(*joint.rpy), np.array(joint.xyz))
+    link = ARM6.links[joint.parent]
+    expected = pin.Inertia(link.mass, link.com, link.inertia) + place.act(motor)
+    joined = links[joint.parent]
+    assert joined.mass == pytest.approx(expected.mass)
+    np.testing.assert_allclose(joined.com, expected.lever, atol=1e-12)
+    np.testing.assert_allclose(joined.inertia, expected.inertia, atol=1e-12)
+    assert {name for name, body in links.items() if body is not ARM6.links[name]} == {joint.parent}
 
 
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=lambda robot: robot.name)
