@@ -46,6 +46,7 @@ _EXCLUSIVE = (
     {"stribeck_friction", "presliding_hysteresis"},
     {"backlash", "joint_elasticity"},
     {"torque_gain", "torque_saturation"},
+    {"torque_offset", "parallel_spring"},
 )
 
 

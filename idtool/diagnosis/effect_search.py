@@ -18,7 +18,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.bursts import find_bursts
-from idtool.diagnosis.held_out_error import worsens_held_out_error
+from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import (
     MIN_SHARE,
@@ -330,6 +330,7 @@ class EffectSearch:
             if reason := self._add(selection, selection.winner):
                 self._skip(selection.winner, reason)
                 continue
+            self._skipped.clear()  # beside this effect, another one may be better
             self._prune()
             self._complete = self._state()
             state = tuple(sorted((effect.chosen.effect, effect.chosen.target) for effect in self.added))
@@ -365,7 +366,7 @@ class EffectSearch:
             self._restore(before)
             return not_fitted_reason(failure)
         needs_check = is_reportable(winner.probe.effect) and not is_assumed
-        if needs_check and worsens_held_out_error(before.current, self.current):
+        if needs_check and lowers_held_out_likelihood(before.current, self.current):
             self._restore(before)
             return "increases the error on the held-out data when all effects are fitted together"
         return ""

@@ -1,4 +1,4 @@
-"""Error of a fitted model on the held-out data, and whether an effect makes it worse."""
+"""Error of a fitted model on the held-out data, and whether an effect makes these less likely."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.regressor import LinearModel
 
-_MAX_LOSS = 0.25  # of what other joints gain, that some may lose: weights of the joints and chance change all of them
-
-_NEGLIGIBLE = 0.01  # of the squared error of all joints
+_NEGLIGIBLE = 0.01  # change of the logarithm of a joint's squared error
 
 
 def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) -> Array:
@@ -48,22 +46,23 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
         return np.asarray(squares / count)
 
 
-def worsens_held_out_error(before: LinearizedFit, after: LinearizedFit) -> bool:
-    """True if an effect costs some joints more on the held-out data than a small share of what others gain there.
+def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> bool:
+    """True if the held-out data are less likely under the model with an effect than under that without it.
 
-    An effect that the held-out motion does not excite changes hardly anything there, which is nothing against it.
+    Each joint's residual counts relative to its own size: while one joint lacks a large effect, another must not decide
+    alone. An effect that the held-out motion does not excite changes hardly anything there, which is nothing against
+    it.
 
     Parameters
     ----------
     before
-        The model without the effect, in whose units the errors count.
+        The model without the effect.
     after
         The model with it, at the rows where its columns are defined.
     """
     row_equation = after.experiment.equation
-    unit = np.square(before.noise)
-    errors_before = held_out_mean_squares(before, row_equation) / unit
-    change = held_out_mean_squares(after, row_equation) / unit - errors_before
-    gain = -np.nansum(np.minimum(change, 0.0))
-    loss = np.nansum(np.maximum(change, 0.0))
-    return bool(loss > max(_MAX_LOSS * gain, _NEGLIGIBLE * np.nansum(errors_before)))
+    errors_before = held_out_mean_squares(before, row_equation)
+    errors_after = held_out_mean_squares(after, row_equation)
+    with np.errstate(invalid="ignore"):
+        change = np.log(errors_after / errors_before)
+    return bool(np.nansum(change) > _NEGLIGIBLE)

@@ -11,7 +11,7 @@ from disturbed import experiment_of, nothing, silent, torque_on_joint
 
 from idtool.diagnosis.confirmation import contradiction, estimate_on_parts
 from idtool.diagnosis.diagnose import Options, diagnose
-from idtool.diagnosis.held_out_error import worsens_held_out_error
+from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import Diagnosis, PartEstimate
 from idtool.diagnosis.trial import with_effects
@@ -90,7 +90,7 @@ def test_a_small_effect_must_bring_its_joint_to_the_noise_floor(
     assert find_unproven(current, without, silent) == unproven
 
 
-def test_the_held_out_error_counts_what_is_lost_there(tmp_path: Path) -> None:
+def test_held_out_data_are_less_likely_with_what_is_not_there(tmp_path: Path) -> None:
     """A spring that ends with the training data costs much of the rest; one that lasts gains, none does neither."""
 
     def ending(t: Any, q: Any, v: Any, tau: Any) -> Any:
@@ -100,4 +100,4 @@ def test_the_held_out_error_counts_what_is_lost_there(tmp_path: Path) -> None:
         experiment = experiment_of(tmp_path, hidden)
         before = fitted(experiment)
         after = linearize_fit(with_effects(experiment, [SPRING]), silent, before)
-        assert worsens_held_out_error(before, after) is worsens
+        assert lowers_held_out_likelihood(before, after) is worsens
