@@ -371,3 +371,12 @@ def _keep_freed_memory() -> None:
     in mallopt(3). Elsewhere this does nothing.
     """
     np.empty(31 << 20, np.uint8)
+
+
+def reversals(v: Array) -> Mask:
+    """Samples right before and after a change of the velocity's sign, however fast, shape (N,)."""
+    mask = np.zeros(len(v), dtype=bool)
+    before = np.flatnonzero(v[1:] * v[:-1] < 0)
+    mask[before] = True
+    mask[before + 1] = True
+    return mask

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.column_cache import KeptColumns
-from idtool.data.signals import Batch, Motion
+from idtool.data.signals import Batch, Motion, reversals
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NamedEffect
@@ -228,12 +228,12 @@ class LinearModel:
             Least distance in time from invalid samples and reversals [s].
         """
         clean = self.valid_samples(batch)
+        true = self.true_motion(batch.motion)
         reach = round(min_distance / batch.motion.dt)
         for joint, masks in self._invalid_masks(batch).items():
             invalid = np.logical_or.reduce(masks)
             if reach:
-                reversals = _reversals(batch.motion.v[joint])
-                invalid = ndimage.binary_dilation(invalid | reversals, iterations=reach)
+                invalid = ndimage.binary_dilation(invalid | reversals(true.v[joint]), iterations=reach)
             weight = batch.low_pass.masked_share(invalid, batch.before, batch.after)
             limit = _CLEAN_WEIGHT
             if not reach:
@@ -258,10 +258,11 @@ class LinearModel:
     def _invalid_masks(self, batch: Batch, is_friction: bool | None = None) -> dict[int, list[Mask]]:
         """By joint, the masks of its effects' invalid samples, shape (N,) each; of friction or of others, or of all."""
         masks: dict[int, list[Mask]] = {}
+        true = self.true_motion(batch.motion)
         for effect in self.effects:
             if is_friction is not None and is_friction != (isinstance(effect, NamedEffect) and effect.is_friction):
                 continue
-            for joint, mask in effect.invalid_mask(batch.motion).items():
+            for joint, mask in effect.invalid_mask(true).items():
                 masks.setdefault(joint, []).append(mask)
         return masks
 
@@ -368,12 +369,3 @@ def _kept_columns(effect: Effect, motion: Motion) -> KeptColumns | None:
     if kept is None or effect.column_key is None or not kept.are_along(motion.q, motion.v, motion.a):
         return None
     return kept
-
-
-def _reversals(v: Array) -> Mask:
-    """Samples right before and after a change of the velocity's sign, however fast, shape (N,)."""
-    reversals = np.zeros(len(v), dtype=bool)
-    before = np.flatnonzero(v[1:] * v[:-1] < 0)
-    reversals[before] = True
-    reversals[before + 1] = True
-    return reversals

@@ -8,12 +8,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.signal import welch
+from scipy import ndimage
+from scipy.signal import lfilter, lfilter_zi, welch
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate
-from idtool.data.signals import Motion
+from idtool.data.signals import Motion, reversals
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.fixed_effect import FixedJointEffect
 from idtool.dynamics.effects.linearization import Linearization
@@ -40,9 +41,9 @@ class JointElasticity(FixedJointEffect):
     on the joint.
 
     In the torque equation the link's motion is the measured one less the deflection, which is taken from the measured
-    torque, less what the rotors take of it by their prior, up to where that sinks into its noise, 14 to 56 Hz. What
-    the rotors take more than they would if they turned with the link is known then too. That of a `rotor_inertia` is
-    not: give a heavy rotor under `rotors`.
+    torque, less what the rotors take of it by their prior, up to where that sinks into its noise, 14 to 56 Hz, and lags
+    it by the damper. What the rotors take more than they would if they turned with the link is known then too. That of
+    a `rotor_inertia` is not: give a heavy rotor under `rotors`.
     """
 
     id = "joint_elasticity"
@@ -116,7 +117,7 @@ class JointElasticity(FixedJointEffect):
     @override
     def correct_motion(self, motion: Motion) -> Motion:
         """Motion of the link."""
-        deflection = np.stack(self._deflection(motion, self._motor_friction(motion)))
+        deflection = np.stack(self._deflection(motion, self._motor_friction(motion), self._retardation_time))
         link_motion = self._displaced(motion, -deflection)
         return replace(link_motion, motor_minus_link={**motion.motor_minus_link, self.joint: deflection})
 
@@ -147,12 +148,19 @@ class JointElasticity(FixedJointEffect):
 
     @override
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
-        """Samples at the ends, where the deflection is not known since its filter reaches beyond them."""
-        edge = min(_low_pass(_BANDS[0], motion.dt).edge, len(motion.t))
-        mask = np.zeros(len(motion.t), dtype=bool)
-        mask[:edge] = True
-        mask[len(mask) - edge :] = True
-        return dict.fromkeys(range(len(motion.q)), mask)
+        """Samples at the ends, beyond which the deflection's filter reaches, and those near the link's reversals.
+
+        When the link reverses is known as well as the filter resolves it, and dry friction jumps then.
+        """
+        count = len(motion.t)
+        edge = min(_low_pass(_BANDS[0], motion.dt).edge, count)
+        at_ends = np.zeros(count, dtype=bool)
+        at_ends[:edge] = True
+        at_ends[count - edge :] = True
+        resolution = 0.5 / _band(motion.logged_tau[self.joint], motion.dt)
+        reach = max(round(resolution / motion.dt), 1)
+        near_reversals = ndimage.binary_dilation(reversals(motion.v[self.joint]), iterations=reach)
+        return dict.fromkeys(range(len(motion.q)), at_ends) | {self.joint: at_ends | near_reversals}
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
@@ -164,17 +172,36 @@ class JointElasticity(FixedJointEffect):
             motor_friction=self.nonlinear_values["motor_friction"],
         )
 
-    def _deflection(self, motion: Motion, motor_friction: Array | float) -> tuple[Array, Array, Array]:
+    @property
+    def _retardation_time(self) -> float:
+        """Time by which the deflection lags the torque, as the spring's damper takes part of it [s]."""
+        inertia = self._rotor_inertia[self.joint, self.joint]
+        return float(2 * _DAMPING_RATIO * np.sqrt(inertia / self.nonlinear_values["stiffness"]))
+
+    def _deflection(
+        self, motion: Motion, motor_friction: Array | float, retardation_time: float = 0.0
+    ) -> tuple[Array, Array, Array]:
         """Deflection and its first two derivatives, shape (N,), from the friction on the motor side."""
         dt = motion.dt
         carried = motion.tau[self.joint] - self._rotor_inertia[self.joint] @ motion.a - motor_friction
         low_pass = _low_pass(_band(motion.logged_tau[self.joint], dt), dt)
         margin = 2 * DIFFERENCE_REACH
+        if retardation_time:
+            carried = _lagged(carried, retardation_time, dt)
         padded = np.pad(carried, low_pass.reach + margin, mode="reflect", reflect_type="odd")
         q = low_pass(padded[None], low_pass.reach, low_pass.reach) / self.nonlinear_values["stiffness"]
         v = differentiate(q, dt)
         a = differentiate(v, dt)
         return q[0, margin:-margin], v[0, margin // 2 : -(margin // 2)], a[0]
+
+
+def _lagged(x: Array, time: float, dt: float) -> Array:
+    """First-order lag of a signal, by the trapezoidal rule, shape (N,)."""
+    numerator = np.array([dt, dt]) / (2 * time + dt)
+    denominator = np.array([1.0, (dt - 2 * time) / (2 * time + dt)])
+    start = lfilter_zi(numerator, denominator) * x[0]
+    y, _ = lfilter(numerator, denominator, x, zi=start)
+    return np.asarray(y)
 
 
 def _band(tau: Array, dt: float) -> float:
