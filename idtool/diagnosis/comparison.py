@@ -100,7 +100,7 @@ class Change:
         Share of the squared torque gap that is open without this change, every joint relative to its torque; of the
         inertia of links, without that of all links. None for the controller's delay, which changes the robot's torque.
     reason
-        Why it need not be made, a few words; empty for one that is to be made.
+        Reason why it need not be made, a few words; empty for one that is to be made.
     """
 
     effect: str
@@ -144,7 +144,7 @@ class Comparison:
     before, after
         Errors of the simulator's model on the robot's logs, and of the same model with the changes.
     notices
-        What a user should know.
+        Notices for the user.
     """
 
     simulated: Diagnosis

@@ -61,7 +61,7 @@ def estimate_on_parts(
 
 
 def contradiction(estimates: Sequence[PartEstimate]) -> str:
-    """What contradicts the size of an effect, as a clause; empty if the parts agree or cannot tell."""
+    """Two parts on which the size of an effect differs by more than chance, as a clause; empty if there are none."""
     for i, first in enumerate(estimates):
         for second in estimates[:i]:
             if not _agree(first, second):
@@ -144,7 +144,7 @@ def coefficient_covariance(linearized: LinearizedFit, coefficients: slice, infla
     linearized
         The model.
     coefficients
-        Which of its coefficients.
+        Indices of the m coefficients among its p.
     inflation
         Number of rows that are worth one independent one.
     """

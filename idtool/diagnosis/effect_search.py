@@ -124,7 +124,7 @@ class EffectSearch:
     failed
         Reason why the model could not be fitted with an effect, by effect and target.
     stopped
-        Why the search ended before it was complete; empty if it was.
+        Reason why the search ended before it was complete; empty if it was.
     is_interrupted
         True if Ctrl-C ended it.
 

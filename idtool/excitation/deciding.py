@@ -79,7 +79,7 @@ class Separation:
 
 @dataclass(frozen=True)
 class Decision:
-    """How well trajectories distinguish two explanations.
+    """Separation of two explanations on a designed trajectory, and on what it is compared with.
 
     Attributes
     ----------
@@ -198,7 +198,7 @@ class DataRows:
 
 
 def _residual(parts: Sequence[Array], columns: Indices, target: int) -> list[Array]:
-    """What a least-squares fit of columns leaves of the target column, part by part."""
+    """Residual of the target column after a least-squares fit of other columns, part by part."""
     rows = np.concatenate(parts)
     X = rows[:, columns]
     norms = np.linalg.norm(X, axis=0)

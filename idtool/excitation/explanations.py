@@ -46,7 +46,7 @@ class Explanation:
     entries
         Their configuration entries.
     source
-        Where the parameters come from: ``configuration``, ``logs``, ``typical size``, or a file's name.
+        Origin of the parameters: ``configuration``, ``logs``, ``typical size``, or a file's name.
     """
 
     name: str

@@ -167,7 +167,7 @@ class NamedEffect(Effect):
 
     @classmethod
     def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
-        """Why no robot has such an effect, as a clause; empty: one may.
+        """Reason why no robot has such an effect, as a clause; empty if one may.
 
         Parameters
         ----------
@@ -182,7 +182,7 @@ class NamedEffect(Effect):
 
     @classmethod
     def doubt(cls, entries: Sequence[EffectEntry], model: RobotModel) -> str:
-        """Why effects of this kind may stand in for something else, as a sentence; empty: nothing speaks against them.
+        """Reason to doubt effects of this kind, which may stand in for something else, as a sentence; empty if none.
 
         Parameters
         ----------

@@ -97,7 +97,7 @@ class _BodyChange:
 
 @dataclass
 class _Plan:
-    """What to write into a file.
+    """New values of a file's joints, bodies and gravity, and the parts it has no place for.
 
     Attributes
     ----------
