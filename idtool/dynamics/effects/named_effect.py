@@ -89,9 +89,6 @@ class NamedEffect(Effect):
         What a diagnosis draws its torque against. The torque is that of the actuator as the model predicts it.
     follows_direction
         True if its torque changes its sign with the direction of motion, and is drawn along this direction.
-    min_explained_share
-        Share of a joint's squared residual that it must explain to be reported, where its column contains the
-        residual's own noise.
     is_friction
         True for friction, which may act on the motor side of a transmission.
     acts_at_reversals
@@ -124,7 +121,6 @@ class NamedEffect(Effect):
     requires: tuple[str, ...] = ()
     cause: Cause = "velocity"
     follows_direction: bool = False
-    min_explained_share: float = 0.0
     is_friction: bool = False
     acts_at_reversals: bool = False
     reportable: bool = True
