@@ -192,8 +192,15 @@ def excite(
         chosen_design, decision = decide_between(
             chosen_design, settings, options, logged, experiment, explanations, report_progress
         )
-    names = [str(path) for path in paths]
-    report = excitation_report(chosen_design, decision, sources, str(model.robot.path), names, options.seed, notices)
+    report = excitation_report(
+        chosen_design,
+        decision,
+        sources,
+        urdf=str(model.robot.path),
+        logs=[str(path) for path in paths],
+        seed=options.seed,
+        notices=notices,
+    )
     result = ExcitationResult.from_result(report)
     result._design = chosen_design
     return result
