@@ -322,10 +322,18 @@ class EffectSearch:
     def _replace(self, replaced: Sequence[AddedEffect]) -> bool:
         """Replace effects by the one that explains most without them, if the model is better with it."""
         before = self.model.state()
-        others = [effect for effect in self.added if effect not in replaced]
-        self.model.added = others
-        if self.model.try_refit():
+        if not self._add_in_place_of(replaced):
             self.model.restore(before)
+            return False
+        by = self.added[-1].chosen
+        self.removed += [replacement_sentence(effect.chosen, by) for effect in replaced]
+        return True
+
+    def _add_in_place_of(self, replaced: Sequence[AddedEffect]) -> bool:
+        """Add another effect in place of some; False if none is better, and the model has to be restored."""
+        before = self.current
+        self.model.added = [effect for effect in self.added if effect not in replaced]
+        if self.model.try_refit():
             return False
         without = self.current
         try:
@@ -333,19 +341,14 @@ class EffectSearch:
                 without, self.initial, self.progress, self._effects, self._bursts(), MIN_SHARE, self._skipped
             )
         except FAILURES:
-            self.model.restore(before)
             return False
         winner = selection.winner
         known = {(effect.chosen.effect, effect.chosen.target) for effect in replaced}
         if winner is None or probe_target(winner.probe) in known or not is_reportable(winner.probe.effect):
-            self.model.restore(before)
             return False
-        if self._add(selection, winner) or not self._explains_more(before.current, without, len(replaced) > 1):
-            self.model.restore(before)
+        if self._add(selection, winner):
             return False
-        by = self.added[-1].chosen
-        self.removed += [replacement_sentence(effect.chosen, by) for effect in replaced]
-        return True
+        return self._explains_more(before, without, is_simpler=len(replaced) > 1)
 
     def _explains_more(self, before: LinearizedFit, without: LinearizedFit, is_simpler: bool) -> bool:
         """True if the present model explains more than another one, or if it is simpler, as much.

@@ -25,7 +25,7 @@ _REFITS = 2  # where columns depend on the values of the coefficients
 _MAX_ITERATIONS = 6  # of the fit of all nonlinear parameters after an effect was added
 
 
-@dataclass
+@dataclass(eq=False)
 class AddedEffect:
     """An effect in the model, with the evidence for it.
 
