@@ -142,7 +142,7 @@ def diagnose(
         Logs of a simulator of the model under the same commands: one for each of ``logs``, in the same order, or a
         folder with a log of the same name for each. They are in SI units, whatever ``log.scale`` says.
     simulation
-        Whether to simulate the models too.
+        True to simulate the models too.
     progress
         Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 

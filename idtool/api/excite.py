@@ -192,8 +192,15 @@ def excite(
         chosen_design, decision = decide_between(
             chosen_design, settings, options, logged, experiment, explanations, report_progress
         )
-    names = [str(path) for path in paths]
-    report = excitation_report(chosen_design, decision, sources, str(model.robot.path), names, options.seed, notices)
+    report = excitation_report(
+        chosen_design,
+        decision,
+        sources,
+        urdf=str(model.robot.path),
+        logs=[str(path) for path in paths],
+        seed=options.seed,
+        notices=notices,
+    )
     result = ExcitationResult.from_result(report)
     result._design = chosen_design
     return result
@@ -250,21 +257,12 @@ def _make_task(
         tree = build_model(robot, settings, moving)
         equation = LinearModel(tree.names, build_effects(tree, settings))
         equalities = equality_constraints(settings, tree, equation)
-    if noise is None:
-        given_noise = {}
-    elif isinstance(noise, Mapping):
-        given_noise = dict(noise)
-    else:
-        given_noise = {ALL_JOINTS: noise}
-    common_noise: dict[str, float] = {}
-    if ALL_JOINTS in given_noise:
-        common_noise = dict.fromkeys(tree.names, given_noise.pop(ALL_JOINTS))
     task = make_design_task(
         tree,
         equation,
         equalities,
         settings,
-        noise={**measured_noise, **common_noise, **given_noise},
+        noise={**measured_noise, **_given_noise(noise, tree.names)},
         rate=rate,
         margin=margin,
         clearance=clearance,
@@ -272,3 +270,16 @@ def _make_task(
         favour=favour,
     )
     return task, logged
+
+
+def _given_noise(noise: float | Mapping[str, float] | None, joints: Sequence[str]) -> dict[str, float]:
+    """Noise by joint, as the user gave it; that of a single joint counts more than that of all joints."""
+    if noise is None:
+        return {}
+    if not isinstance(noise, Mapping):
+        return dict.fromkeys(joints, noise)
+    by_joint = dict(noise)
+    if ALL_JOINTS not in by_joint:
+        return by_joint
+    common = by_joint.pop(ALL_JOINTS)
+    return {**dict.fromkeys(joints, common), **by_joint}

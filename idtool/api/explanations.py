@@ -33,11 +33,11 @@ class Alternative:
     effect: EffectAssumption | None
 
     @property
-    def owners(self) -> tuple[EffectAssumption, ...]:
+    def keys(self) -> tuple[EffectAssumption, ...]:
         """The effects, each with what it acts on."""
         if self.effect is not None:
             return (self.effect,)
-        return Explanation(self.text, self.entries, "").owners
+        return Explanation(self.text, self.entries, "").keys
 
 
 def parse_alternatives(texts: Sequence[str]) -> tuple[Alternative, Alternative]:
@@ -50,7 +50,8 @@ def parse_alternatives(texts: Sequence[str]) -> tuple[Alternative, Alternative]:
     """
     if len(texts) != 2:
         raise ConfigError(_OPTION, f"{len(texts)} explanations; give two")
-    a, b = (_parse(text) for text in texts)
+    a = _parse(texts[0])
+    b = _parse(texts[1])
     if a.effect == b.effect and a.entries == b.entries:
         raise ConfigError(_OPTION, f"{a.text} and {b.text} are the same explanation; give two different ones")
     return a, b
@@ -90,14 +91,17 @@ def find_explanations(
     ConfigError
         If the robot cannot have one of the effects, or its parameters are not known.
     """
-    owners = [owner for alternative in alternatives for owner in alternative.owners]
-    check_assumptions(owners, task.model, _OPTION)
-    for effect, _ in owners:
+    first, second = alternatives
+    keys = [*first.keys, *second.keys]
+    check_assumptions(keys, task.model, _OPTION)
+    for effect, _ in keys:
         if effect_types()[effect].acts_in_bursts:
-            raise ConfigError(_OPTION, f"{effect} acts at times of its own, so that no motion can be designed for it")
-    common = without_effects(config, task.model, owners)
-    a, b = (_with_parameters(alternative, task, config, common, experiment, progress) for alternative in alternatives)
-    return a, b
+            what = f"{effect} acts in certain time intervals, whatever the motion, so none can be designed for it"
+            raise ConfigError(_OPTION, f"{what}; give another effect")
+    common = without_effects(config, task.model, keys)
+    first_explanation = _with_parameters(first, task, config, common, experiment, progress)
+    second_explanation = _with_parameters(second, task, config, common, experiment, progress)
+    return first_explanation, second_explanation
 
 
 def _with_parameters(

@@ -11,7 +11,7 @@ from idtool.api.results import notice_lines
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.notice import Notice
 from idtool.common.outputs import check_file, write_all
-from idtool.reporting.export import patched, read_identified, to_drake, to_mujoco
+from idtool.reporting.export import patch_file, read_identified, to_drake, to_mujoco
 from idtool.reporting.export.identified import CONFIG, URDF
 from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.diagnosis import AgainstReport, ChangeReport
@@ -109,7 +109,7 @@ def export(
     if patch is not None:
         target = Path(patch).parent
         inputs.append(Path(patch))
-        exported = patched(identified, Path(patch), _changes(source))
+        exported = patch_file(identified, Path(patch), _changes(source))
     else:
         exported = to_mujoco(identified, rotor_bodies) if to == "mujoco" else to_drake(identified)
     notices = list(identified.model.notices)

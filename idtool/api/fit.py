@@ -133,7 +133,7 @@ def fit(
     method
         ``ls``: least squares; ``iv``: instrumental variables, which are not biased by noise in q and v but are slower.
     simulation
-        Whether to simulate the identified and the original model too.
+        True to simulate the identified and the original model too.
     quick
         Only fit the model. Skip the simulation, the sources of the parameters, the comparison of logs, and the check
         of the bias from noise.
@@ -176,11 +176,11 @@ def fit_experiment(
     experiment
         Model and data.
     made_by
-        What the page says it was made by.
+        Command that the HTML report shows.
     progress, method
         As in `fit`.
     simulate
-        Whether to simulate the identified and the original model too.
+        True to simulate the identified and the original model too.
     analyze_uncertainty
         If true, find the information source of each parameter, compare logs, and look for bias by noise.
 

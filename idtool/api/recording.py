@@ -27,7 +27,7 @@ def save_recording(
     Parameters
     ----------
     file
-        Where to.
+        The recording.
     model
         The robot.
     logs

@@ -124,7 +124,7 @@ def validate(
     max_rms
         Largest accepted torque error [N·m or N], for all joints together, or by joint and ``overall``; see ``ok``.
     simulation
-        Whether to simulate the models too.
+        True to simulate the models too.
     progress
         Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
@@ -191,11 +191,11 @@ def validate_experiment(
     bounds
         Largest torque error that is accepted, by joint or ``overall``.
     made_by
-        What the page says it was made by.
+        Command that the HTML report shows.
     progress
         Called with the stage and the share of it that is done.
     simulate
-        Whether to simulate the models too.
+        True to simulate the models too.
 
     Raises
     ------

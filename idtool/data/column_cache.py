@@ -54,7 +54,7 @@ class KeptColumns:
     Attributes
     ----------
     cache
-        Where they are.
+        The cache that holds them.
     batch
         Number of the batch.
     q, v, a

@@ -118,13 +118,15 @@ def align(measured: JointLog, simulated: JointLog, joints: Sequence[str]) -> Log
     LogError
         If one of the logs is much shorter than the other.
     """
-    lengths = _duration(measured), _duration(simulated)
-    if min(lengths) < _MIN_OVERLAP * max(lengths):
-        what = f"lasts {lengths[1]:.3g} s, and {printable(measured.path.name)} lasts {lengths[0]:.3g} s"
+    duration = _duration(measured)
+    simulated_duration = _duration(simulated)
+    if min(duration, simulated_duration) < _MIN_OVERLAP * max(duration, simulated_duration):
+        what = f"lasts {simulated_duration:.3g} s, and {printable(measured.path.name)} lasts {duration:.3g} s"
         raise LogError(simulated.path, f"{what}; play the same commands in the simulator")
     offset = _offset(measured, simulated, joints)
     t = measured.t - _start(measured)
-    start, end = max(offset, 0.0), min(lengths[0], offset + lengths[1])
+    start = max(offset, 0.0)
+    end = min(duration, offset + simulated_duration)
     inside = (t >= start) & (t <= end)
     torque = _differences(measured, simulated, joints, "tau", offset, t, inside)
     position = _differences(measured, simulated, joints, "q", offset, t, inside)
@@ -134,6 +136,7 @@ def align(measured: JointLog, simulated: JointLog, joints: Sequence[str]) -> Log
 
 
 def _duration(log: JointLog) -> float:
+    """Time from the first complete sample to the last [s]."""
     return float(log.t[log.segments[-1].stop - 1]) - _start(log)
 
 
@@ -178,13 +181,14 @@ def _offset(measured: JointLog, simulated: JointLog, joints: Sequence[str]) -> f
     """
     has_commands = all(log.has("qcmd", name) for log in (measured, simulated) for name in joints)
     signal = "qcmd" if has_commands else "q"
-    lengths = _duration(measured), _duration(simulated)
-    dt = max(measured.dt, simulated.dt, max(lengths) / _MAX_GRID)
-    t = np.arange(0.0, lengths[0], dt)
-    u = np.arange(0.0, lengths[1], dt)
+    duration = _duration(measured)
+    simulated_duration = _duration(simulated)
+    dt = max(measured.dt, simulated.dt, max(duration, simulated_duration) / _MAX_GRID)
+    t = np.arange(0.0, duration, dt)
+    u = np.arange(0.0, simulated_duration, dt)
     lags = np.arange(-len(u) + 1, len(t))  # samples of t at which u starts
     products = np.zeros(len(lags))
-    squares = np.zeros(len(lags))
+    squares = np.zeros(len(lags))  # of x and of y, where they overlap
     for name in joints:
         x = _sampled(measured, signal, name, t)
         y = _sampled(simulated, signal, name, u)

@@ -100,7 +100,7 @@ class Change:
         Share of the squared torque gap that is open without this change, every joint relative to its torque; of the
         inertia of links, without that of all links. None for the controller's delay, which changes the robot's torque.
     reason
-        Why it need not be made, a few words; empty for one that is to be made.
+        Reason why it need not be made, a few words; empty for one that is to be made.
     """
 
     effect: str
@@ -144,7 +144,7 @@ class Comparison:
     before, after
         Errors of the simulator's model on the robot's logs, and of the same model with the changes.
     notices
-        What a user should know.
+        Notices for the user.
     """
 
     simulated: Diagnosis
@@ -178,13 +178,12 @@ def compare(measured: Experiment, simulated: Experiment, options: Options, progr
     runs = zip(measured.runs, simulated.runs, strict=False)  # logs for validation alone have no partner
     pairs = [align(run.signals.log, other.signals.log, joints) for run, other in runs]
 
-    simulator = diagnose(
-        simulated, replace(options, inertia="fixed", assumed=(), simulate=False), _named(progress, "simulator")
-    )
-    known = _linear_entries(simulator)
-    robot = diagnose(_started_with(measured, known), options, _named(progress, "robot"))
+    simulator_options = replace(options, inertia="fixed", assumed=(), simulate=False)
+    simulator = diagnose(simulated, simulator_options, _prefixed(progress, "simulator"))
+    started = _with_further_effects(measured, _linear_entries(simulator))
+    robot = diagnose(started, options, _prefixed(progress, "robot"))
 
-    sides = _Sides(simulator, robot, _named(progress, "comparison"))
+    sides = _Sides(simulator, robot, _prefixed(progress, "comparison"))
     changes, made = _changes(sides)
     return Comparison(
         simulated=simulator,
@@ -192,13 +191,13 @@ def compare(measured: Experiment, simulated: Experiment, options: Options, progr
         pairs=tuple(pairs),
         changes=tuple(change for change in changes if not change.reason),
         unchanged=tuple(change for change in changes if change.reason),
-        before=sides.level((), options.simulate),
-        after=sides.level(made, options.simulate),
+        before=sides.gap_level((), options.simulate),
+        after=sides.gap_level(made, options.simulate),
         notices=tuple(_notices(simulator)),
     )
 
 
-def _named(progress: Progress, subject: str) -> Progress:
+def _prefixed(progress: Progress, subject: str) -> Progress:
     """Progress whose stages begin with a subject."""
     return lambda stage, share: progress(f"{subject}: {stage}", share)
 
@@ -216,7 +215,7 @@ def _linear_entries(diagnosis: Diagnosis) -> list[EffectEntry]:
     return entries
 
 
-def _started_with(experiment: Experiment, entries: Sequence[EffectEntry]) -> Experiment:
+def _with_further_effects(experiment: Experiment, entries: Sequence[EffectEntry]) -> Experiment:
     """The experiment with further effects; as it is, if it cannot have them."""
     configured = experiment.config.effects
     present = {effect_from_entry(entry, experiment.model).key for entry in configured}
@@ -248,15 +247,15 @@ class _Term:
         values: dict[str, tuple[Any, Any]] = {}
         if self.entry is not None:
             for name, value in self.entry.values.items():
-                values[name] = (value, _given_error(self.entry.parameters[name]))
+                values[name] = (value, _configured_error(self.entry.parameters[name]))
         values.update(self.effect.parameters(self.theta, self.covariance))
         return values
 
 
-def _given_error(given: Any) -> Any:
+def _configured_error(given: Any) -> Any:
     """Standard error of a configuration's parameter; None if it has none."""
     if isinstance(given, list):
-        return [_given_error(x) for x in given]
+        return [_configured_error(x) for x in given]
     return given.get("standard_error") if isinstance(given, Mapping) else None
 
 
@@ -303,10 +302,10 @@ class _Sides:
     ----------
     simulator, robot
         Diagnoses.
-    before, after
-        Effects of the simulator and of the robot.
-    simulator_fit, fitted
+    simulator_fit, robot_fit
         Their fits, each with the effects of both.
+    simulator_terms, robot_terms
+        Effects of these fits.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
@@ -314,18 +313,18 @@ class _Sides:
     simulator: Diagnosis
     robot: Diagnosis
     progress: Progress
-    before: dict[TermKey, _Term] = field(init=False)
-    after: dict[TermKey, _Term] = field(init=False)
+    simulator_terms: dict[TermKey, _Term] = field(init=False)
+    robot_terms: dict[TermKey, _Term] = field(init=False)
     simulator_fit: Fit = field(init=False)
-    fitted: Fit = field(init=False)
+    robot_fit: Fit = field(init=False)
 
     def __post_init__(self) -> None:
         simulator = _with_refitted_delay(self.simulator.last, self.progress)
         robot = _with_refitted_delay(self.robot.last, self.progress)
         self.simulator_fit = self._with_effects_of(simulator, robot)
-        self.fitted = self._with_effects_of(robot, simulator)
-        self.before = _terms(self.simulator_fit)
-        self.after = _terms(self.fitted)
+        self.robot_fit = self._with_effects_of(robot, simulator)
+        self.simulator_terms = _terms(self.simulator_fit)
+        self.robot_terms = _terms(self.robot_fit)
 
     def _with_effects_of(self, own: Fit, other: Fit) -> Fit:
         """A fit with the effects of another besides its own: those with coefficients, and those that every log has."""
@@ -352,8 +351,8 @@ class _Sides:
     @property
     def keys(self) -> list[TermKey]:
         """Effects of both, and the bodies if the robot's were identified."""
-        keys = list(dict.fromkeys([*self.before, *self.after]))
-        return keys if has_fixed_inertia(self.fitted.experiment) else [*keys, _ALL_BODIES]
+        keys = list(dict.fromkeys([*self.simulator_terms, *self.robot_terms]))
+        return keys if has_fixed_inertia(self.robot_fit.experiment) else [*keys, _ALL_BODIES]
 
     def variant(self, from_robot: Collection[TermKey]) -> tuple[Experiment, Array]:
         """The simulator's model on the robot's logs, and its coefficients.
@@ -365,11 +364,11 @@ class _Sides:
         """
         terms = []
         for key in self.keys:
-            term = (self.after if key in from_robot else self.before).get(key)
+            term = (self.robot_terms if key in from_robot else self.simulator_terms).get(key)
             if term is not None:
                 terms.append(term)
         entries = [term.entry for term in terms if term.entry is not None]
-        fitted = self.fitted
+        fitted = self.robot_fit
         experiment = with_effects(fitted.experiment, entries, fitted.estimate.theta)
         equation = experiment.equation
         theta = equation.prior.copy()
@@ -387,20 +386,20 @@ class _Sides:
     def squared_errors(self, from_robot: Collection[TermKey]) -> Array:
         """Mean squared torque error of `variant` on the robot's logs, shape (nv,) [(N·m)² or N²]."""
         experiment, theta = self.variant(from_robot)
-        evaluation = evaluate(experiment, {"model": theta}, self.fitted.has_held_out, self.progress)
+        evaluation = evaluate(experiment, {"model": theta}, self.robot_fit.has_held_out, self.progress)
         errors = evaluation.errors["model"]
         return np.asarray(errors.sum_squares_in_band / max(errors.samples, 1))
 
-    def level(self, from_robot: Collection[TermKey], simulate: bool) -> GapLevel:
+    def gap_level(self, from_robot: Collection[TermKey], simulate: bool) -> GapLevel:
         """Errors of `variant` on the robot's logs."""
         squares = self.squared_errors(from_robot)
-        joints = self.fitted.experiment.equation.joints
+        joints = self.robot_fit.experiment.equation.joints
         torque = dict(zip(joints, np.sqrt(squares).tolist(), strict=True))
         torque["overall"] = float(np.sqrt(squares.mean()))
         position = None
         if simulate:
             experiment, theta = self.variant(from_robot)
-            rollouts = evaluate_rollouts(experiment, {"model": theta}, self.fitted.has_held_out, self.progress)
+            rollouts = evaluate_rollouts(experiment, {"model": theta}, self.robot_fit.has_held_out, self.progress)
             if "model" in rollouts.errors:
                 position = rollouts.errors["model"].rmse(joints, "position")
         return GapLevel(torque, position)
@@ -419,16 +418,28 @@ def _changes(sides: _Sides) -> tuple[list[Change], list[TermKey]]:
             is_significant = _is_significant(differing[key][0])
         if is_significant:
             significant.append(key)
+    shares, reasons = _gap_shares(sides, significant)
 
-    joints = sides.fitted.experiment.equation.joints
-    torque_std = np.array([sides.fitted.evaluation.torque_std[name] for name in joints])
+    changes = list(_delay_changes(sides))
+    for key, own in differing.items():
+        share = shares.get(key, 0.0)
+        reason = reasons.get(key, _INSIGNIFICANT)
+        changes += [replace(change, share=share, reason=reason) for change in own]
+    changes.sort(key=lambda change: (bool(change.reason), -(change.share or 0.0)))
+    return changes, [key for key in significant if not reasons[key]]
+
+
+def _gap_shares(sides: _Sides, significant: Sequence[TermKey]) -> tuple[dict[TermKey, float], dict[TermKey, str]]:
+    """Shares of the gap that significant differences close, and reasons why they need no change, empty if they do."""
+    joints = sides.robot_fit.experiment.equation.joints
+    torque_std = np.array([sides.robot_fit.evaluation.torque_std[name] for name in joints])
     weights = 1 / np.maximum(torque_std, 1e-12) ** 2
     before = sides.squared_errors(())
     after = sides.squared_errors(significant)
     smallest = np.maximum(_MIN_SHARE * before, (_NEGLIGIBLE * torque_std) ** 2)
     gap = float(weights @ (before - after))
     shares: dict[TermKey, float] = {}
-    reasons = dict.fromkeys(sides.keys, _INSIGNIFICANT)
+    reasons: dict[TermKey, str] = {}
     for key in significant:
         reopened = sides.squared_errors([other for other in significant if other != key]) - after
         shares[key] = float(weights @ reopened) / gap if gap > 0 else 0.0
@@ -438,17 +449,12 @@ def _changes(sides: _Sides) -> tuple[list[Change], list[TermKey]]:
         for key in made:
             shares[key] = 0.0
             reasons[key] = "does not reduce the torque error together with the other changes"
-        made = []
-
-    changes = list(_delay_changes(sides))
-    for key, own in differing.items():
-        changes += [replace(change, share=shares.get(key, 0.0), reason=reasons[key]) for change in own]
-    return sorted(changes, key=lambda change: (bool(change.reason), -(change.share or 0.0))), made
+    return shares, reasons
 
 
 def _delay_changes(sides: _Sides) -> Iterator[Change]:
     """The delay from command to torque, if it was fitted on both sides."""
-    simulator, robot = _fitted_delay(sides.simulator_fit), _fitted_delay(sides.fitted)
+    simulator, robot = _fitted_delay(sides.simulator_fit), _fitted_delay(sides.robot_fit)
     if simulator is None or robot is None:
         return
     quantity = Quantity(simulator.value, simulator.standard_error, robot.value, robot.standard_error, "s")
@@ -497,7 +503,7 @@ def _is_significant(change: Change) -> bool:
 
 def _change(sides: _Sides, key: TermKey) -> Change:
     """An effect on both sides."""
-    before, after = sides.before.get(key), sides.after.get(key)
+    before, after = sides.simulator_terms.get(key), sides.robot_terms.get(key)
     term = after or before
     if term is None:
         raise AssertionError  # keys are those of the two
@@ -516,7 +522,7 @@ def _change(sides: _Sides, key: TermKey) -> Change:
 
 def _bodies_changes(sides: _Sides) -> list[Change]:
     """The inertia of every link and rotor."""
-    fitted = sides.fitted
+    fitted = sides.robot_fit
     changes = []
     for i, body in enumerate(fitted.experiment.model.bodies):
         mass_error = float(fitted.uncertainty.standard_error[PI_SIZE * i])
@@ -533,7 +539,7 @@ def _bodies_changes(sides: _Sides) -> list[Change]:
 
 def _bodies_differ(sides: _Sides) -> bool:
     """True if a parameter of a body differs significantly from the URDF's."""
-    fitted = sides.fitted
+    fitted = sides.robot_fit
     count = PI_SIZE * len(fitted.experiment.model.bodies)
     errors = fitted.uncertainty.standard_error[:count]
     difference = fitted.estimate.theta[:count] - fitted.experiment.equation.prior[:count]

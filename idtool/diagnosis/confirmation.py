@@ -16,7 +16,7 @@ from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import PartEstimate
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, parameter_value
 from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
-from idtool.estimation.dataset.experiment import Experiment, Progress, Run
+from idtool.estimation.dataset.experiment import Experiment, Progress, split_ranges
 from idtool.robot.config import EffectEntry
 
 _MAX_PARTS = 6  # logs that are fitted by themselves, the first ones
@@ -61,7 +61,7 @@ def estimate_on_parts(
 
 
 def contradiction(estimates: Sequence[PartEstimate]) -> str:
-    """What contradicts the size of an effect, as a clause; empty if the parts agree or cannot tell."""
+    """Two parts on which the size of an effect differs by more than chance, as a clause; empty if there are none."""
     for i, first in enumerate(estimates):
         for second in estimates[:i]:
             if not _agree(first, second):
@@ -87,23 +87,12 @@ def _parts(experiment: Experiment) -> list[tuple[str, Experiment]]:
     if len(runs) > 1:
         logs = [(run.signals.log.path.name, replace(run, held_out=())) for run in runs[:_MAX_PARTS]]
     else:
-        logs = list(zip(("first half", "second half"), _halves(runs[0]), strict=True))
+        samples = sum(part.stop - part.start for part in runs[0].train)
+        halves = split_ranges(runs[0].train, samples // 2)
+        logs = []
+        for name, half in zip(("first half", "second half"), halves, strict=True):
+            logs.append((name, replace(runs[0], train=half, held_out=())))
     return [(name, replace(experiment, runs=(run,))) for name, run in logs]
-
-
-def _halves(run: Run) -> tuple[Run, Run]:
-    """The two halves of a log's training data."""
-    samples = sum(part.stop - part.start for part in run.train)
-    remaining = samples // 2
-    first, second = [], []
-    for part in run.train:
-        middle = min(part.start + max(remaining, 0), part.stop)
-        remaining -= part.stop - part.start
-        if middle > part.start:
-            first.append(slice(part.start, middle))
-        if part.stop > middle:
-            second.append(slice(middle, part.stop))
-    return replace(run, train=tuple(first), held_out=()), replace(run, train=tuple(second), held_out=())
 
 
 def _size(trial: TrialFit, index: int, inflation: float) -> tuple[str, float, float] | None:
@@ -144,7 +133,7 @@ def coefficient_covariance(linearized: LinearizedFit, coefficients: slice, infla
     linearized
         The model.
     coefficients
-        Which of its coefficients.
+        Indices of the m coefficients among its p.
     inflation
         Number of rows that are worth one independent one.
     """

@@ -9,13 +9,15 @@ from functools import partial
 
 import numpy as np
 
+from idtool.common.arrays import Mask
 from idtool.common.notice import Notice, unique
 from idtool.diagnosis.confirmation import coefficient_covariance, estimate_on_parts
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.doubts import doubt_about
 from idtool.diagnosis.effect_profile import effect_profile
-from idtool.diagnosis.effect_search import REVERSAL_MARGIN, AddedEffect, EffectSearch
+from idtool.diagnosis.effect_search import REVERSAL_MARGIN, EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit, evaluate_errors
+from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.generic_probes import UNKNOWN, generic_probes
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.localization import localize_residual, localize_unexplained
@@ -186,7 +188,7 @@ def _remove_harmful(search: EffectSearch, first: Fit) -> None:
 def _first_harmful(search: EffectSearch, before: ErrorSummary) -> AddedEffect | None:
     """First effect with which the held-out error is larger than without it; None if there is none."""
     for k, effect in enumerate(search.reported):
-        experiment = with_effects(search.current.experiment, search.entries(k + 1), search.current.theta)
+        experiment = with_effects(search.current.experiment, search.model.entries(k + 1), search.current.theta)
         try:
             current = linearize_fit(experiment, search.progress)
         except FAILURES:
@@ -223,7 +225,7 @@ def _fit_with_effects(search: EffectSearch, first: Fit, simulate: bool) -> Fit:
     """Fit with all effects found; those with which it fails are removed, the newest first."""
     while search.reported:
         try:
-            return fit(search.final_experiment(), search.progress, simulate)
+            return fit(search.model.final_experiment(), search.progress, simulate)
         except FAILURES as failure:
             search.remove_failed(search.reported[-1], failure)
     return first
@@ -236,48 +238,62 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool, stages: 
     before = errors_of_fit(first)
     for k, effect in enumerate(search.reported):
         current = _fit_with_first_effects(search, k + 1, last)
-        theta = current.estimate.theta
         after = errors_of_fit(last)
         if current is not last:
+            theta = current.estimate.theta
             after = evaluate_errors(current.experiment, theta, False, search.progress)
-        if simulate and current is not last:
-            errors_with_simulation = partial(evaluate_errors, current.experiment, theta, True, search.progress)
-            after = stages.run("the simulation", errors_with_simulation, after)
-        models = (previous.experiment, previous.estimate.theta, current.experiment, theta)
-        locate = partial(localize_residual, *models, search.progress)
-        nowhere = ResidualLocation((effect.chosen.target,) if effect.chosen.joint else (), (), "")
-        location = stages.run("the location of a residual", locate, nowhere)
-        draw = partial(effect_profile, effect.entry, *models, search.progress)
-        parameters, errors = _parameters(effect, search)
-        selection = effect.selection
-        alike = [fitted_record(candidate, selection.base) for candidate in selection.indistinguishable]
-        step = DiagnosisStep(
-            chosen=effect.chosen,
-            entry=effect.entry,
-            parameters=parameters,
-            standard_error=errors,
-            location=location,
-            significance=effect.chosen.significance,
-            pair=bool(alike),
-            distinguishing_experiment=distinguishing_experiment(effect.chosen, alike[0]) if alike else "",
-            alternatives=selection.alternatives(),
-            rejected=selection.rejected,
-            before=before,
-            after=after,
-            sentence="",
-            profile=stages.run("the picture of a step", draw, None),
-        )
-        steps.append(replace(step, sentence=step_sentence(step, first.experiment.model.units)))
+            if simulate:
+                errors_with_simulation = partial(evaluate_errors, current.experiment, theta, True, search.progress)
+                after = stages.run("the simulation", errors_with_simulation, after)
+        steps.append(_step(effect, search, previous, current, before, after, stages))
         previous = current
         before = after
     return steps
+
+
+def _step(
+    effect: AddedEffect,
+    search: EffectSearch,
+    previous: LinearizedFit | Fit,
+    current: LinearizedFit | Fit,
+    errors_before: ErrorSummary,
+    errors_after: ErrorSummary,
+    stages: Stages,
+) -> DiagnosisStep:
+    """Step that adds an effect; ``previous`` and ``current`` are the fits without and with it."""
+    models = (previous.experiment, previous.estimate.theta, current.experiment, current.estimate.theta)
+    locate = partial(localize_residual, *models, search.progress)
+    nowhere = ResidualLocation((effect.chosen.target,) if effect.chosen.joint else (), (), "")
+    location = stages.run("the location of a residual", locate, nowhere)
+    draw = partial(effect_profile, effect.entry, *models, search.progress)
+    profile = stages.run("the picture of a step", draw, None)
+    parameters, errors = _parameters(effect, search)
+    selection = effect.selection
+    alike = [fitted_record(candidate, selection.base) for candidate in selection.indistinguishable]
+    step = DiagnosisStep(
+        chosen=effect.chosen,
+        entry=effect.entry,
+        parameters=parameters,
+        standard_error=errors,
+        location=location,
+        significance=effect.chosen.significance,
+        pair=bool(alike),
+        distinguishing_experiment=distinguishing_experiment(effect.chosen, alike[0]) if alike else "",
+        alternatives=selection.alternatives(),
+        rejected=selection.rejected,
+        before=errors_before,
+        after=errors_after,
+        sentence="",
+        profile=profile,
+    )
+    return replace(step, sentence=step_sentence(step, current.experiment.model.units))
 
 
 def _fit_with_first_effects(search: EffectSearch, count: int, last: Fit) -> LinearizedFit | Fit:
     """Fit with the first effects found; the final fit with all of them, or if that fails."""
     if count == len(search.reported):
         return last
-    experiment = with_effects(search.current.experiment, search.entries(count), search.current.theta)
+    experiment = with_effects(search.current.experiment, search.model.entries(count), search.current.theta)
     try:
         return linearize_fit(experiment, search.progress)
     except FAILURES:
@@ -377,15 +393,8 @@ def _unknown_steps(
     stages: Stages,
 ) -> list[DiagnosisStep]:
     """Steps of the joints whose residual is above the noise floor, or has structure that no effect explains."""
-    largest_noise = np.maximum(_NEAR_NOISE * floor.noise, _NEGLIGIBLE * search.current.rms_torque)
-    has_slow_power = (floor.slow_power_ratio > _SLOW_POWER) & (floor.residual > largest_noise)
-    rms = np.array([value for _, value in _by_joint(remaining.torque)])
-    negligible = _NEGLIGIBLE * search.current.rms_torque
-    is_above_floor = (rms > _MAX_FLOOR_RATIO * floor.rms) & (rms > negligible)
-    unknown = []
-    for candidate, slow, above in zip(structure, has_slow_power, is_above_floor, strict=True):
-        if candidate.score > _STRUCTURED_SHARE or slow or above:
-            unknown.append(candidate)
+    is_unexplained = _is_unexplained(search, structure, floor, remaining)
+    unknown = [candidate for candidate, is_own in zip(structure, is_unexplained, strict=True) if is_own]
     if not unknown:
         return []
 
@@ -413,6 +422,19 @@ def _unknown_steps(
         )
         steps.append(replace(step, sentence=step_sentence(step, last.experiment.model.units)))
     return steps
+
+
+def _is_unexplained(
+    search: EffectSearch, structure: Sequence[Candidate], floor: NoiseFloor, remaining: ErrorSummary
+) -> Mask:
+    """Mask of the joints whose residual is more than noise, shape (nv,)."""
+    negligible = _NEGLIGIBLE * search.current.rms_torque
+    has_structure = np.array([candidate.score > _STRUCTURED_SHARE for candidate in structure])
+    has_slow_power = floor.slow_power_ratio > _SLOW_POWER
+    is_above_noise = floor.residual > np.maximum(_NEAR_NOISE * floor.noise, negligible)
+    rms = np.array([value for _, value in _by_joint(remaining.torque)])
+    is_above_floor = (rms > _MAX_FLOOR_RATIO * floor.rms) & (rms > negligible)
+    return has_structure | (has_slow_power & is_above_noise) | is_above_floor
 
 
 def _doubt_notices(steps: Sequence[DiagnosisStep]) -> Iterator[Notice]:

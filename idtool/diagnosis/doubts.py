@@ -9,7 +9,7 @@ from idtool.diagnosis.records import DiagnosisStep
 
 
 def doubt_about(step: DiagnosisStep, floor: Mapping[str, float], remaining: Mapping[str, float]) -> str:
-    """What speaks against the effect of a step, a plain sentence; empty if nothing does.
+    """Reason to doubt the effect of a step, a plain sentence; empty if there is none.
 
     Parameters
     ----------

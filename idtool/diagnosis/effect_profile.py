@@ -86,7 +86,7 @@ def _most_improved_joint(series: ResidualSeries) -> int:
 
 
 def _cause_values(effect: NamedEffect, series: ResidualSeries, j: int, velocity_deadband: float) -> Array:
-    """What causes the effect, at each sample, shape (n,); infinite where it is not known."""
+    """Values of an effect's cause at all samples, such as the velocity, shape (n,); infinite where not known."""
     match effect.cause:
         case "position":
             q = series.q[j] if effect.cause_period is None else series.q[j] % effect.cause_period

@@ -1,23 +1,20 @@
-"""Search for missing effects, in rounds: the best effect is added, all are refitted, and superseded ones are removed.
+"""Search for missing effects, in rounds: the best one is added, all are refitted, and superseded ones are removed.
 
-A controller holds its torque during a sample, so that the log has it half a sample early: every log has a delay of
-about that size. Such a background effect, a delay of all joints shorter than one sample, is fitted with the others but
-not reported: without it, it looks like joint elasticity.
+`EffectSearch` decides which effects are added and removed again; `ExtendedModel` is the model that has them.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.bursts import find_bursts
+from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import (
@@ -32,7 +29,6 @@ from idtool.diagnosis.model_selection import (
     probe_key,
     probe_target,
 )
-from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.selection_round import (
     MIN_PARAMETER_SIGNIFICANCE,
     Bursts,
@@ -40,7 +36,7 @@ from idtool.diagnosis.selection_round import (
     fit_assumed_effect,
     not_fitted_reason,
 )
-from idtool.diagnosis.trial import FAILURES, ParameterKey, failure_reason, fit_trial, with_effects
+from idtool.diagnosis.trial import FAILURES, failure_reason, with_effects
 from idtool.diagnosis.unproven import find_unproven
 from idtool.diagnosis.words import removal_sentence, replacement_sentence, unproven_sentence
 from idtool.dynamics.effects import effect_types
@@ -54,53 +50,11 @@ _MIN_INFORMATION_GAIN = 4.0
 _MIN_INFORMATION_LEFT = 0.5
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
 _MAX_REPLACEMENTS = 3
-_REFITS = 2  # where columns depend on the values of the coefficients
 _SURE_CHANGE = 2.0  # standard errors by which a model must be better to replace another
-_MAX_ITERATIONS = 6  # of the fit of all nonlinear parameters after an effect was added
-
-
-@dataclass
-class AddedEffect:
-    """An effect in the model, with the evidence for it.
-
-    Attributes
-    ----------
-    entry
-        Its configuration entry.
-    selection
-        The round of the search that selected it.
-    chosen
-        The candidate as reported, with its score.
-    errors
-        Standard errors of its nonlinear parameters, by name.
-    """
-
-    entry: EffectEntry
-    selection: SelectionStep
-    chosen: Candidate
-    errors: dict[str, float] = field(default_factory=dict)
 
 
 class _TimeLimitError(Exception):
     """The search's time is over."""
-
-
-@dataclass(frozen=True)
-class _State:
-    """A state of the search, to which it can return.
-
-    Attributes
-    ----------
-    current, background, added
-        As in `EffectSearch`.
-    fitted
-        Entry and standard errors of each added effect.
-    """
-
-    current: LinearizedFit
-    background: tuple[EffectEntry, ...]
-    added: tuple[AddedEffect, ...]
-    fitted: tuple[tuple[EffectEntry, dict[str, float]], ...]
 
 
 class EffectSearch:
@@ -108,12 +62,10 @@ class EffectSearch:
 
     Attributes
     ----------
-    current
+    model
         The model so far.
     initial
         The model before any effect was added, with the background effects.
-    added
-        The effects found, in their order.
     removed
         Effects that were removed again, a plain sentence each.
     last_round
@@ -124,7 +76,7 @@ class EffectSearch:
     failed
         Reason why the model could not be fitted with an effect, by effect and target.
     stopped
-        Why the search ended before it was complete; empty if it was.
+        Reason why the search ended before it was complete; empty if it was.
     is_interrupted
         True if Ctrl-C ended it.
 
@@ -157,19 +109,29 @@ class EffectSearch:
         self._deadline: float | None = None
         self.stopped = ""
         self.is_interrupted = False
-        self.added: list[AddedEffect] = []
         self.removed: list[str] = []
         self.last_round: SelectionStep | None = None
         self.reversal_joints: dict[str, tuple[float, float]] = {}
         self.failed: dict[tuple[str, str], str] = {}
         self._skipped: set[ProbeKey] = set()
-        self._configured = experiment.config.effects
-        self._dt = max(run.signals.log.dt for run in experiment.runs)
-        self._background: tuple[EffectEntry, ...] = ()
-        self.current = linearize_fit(experiment, progress)
-        self._try_refit([])
+        self.model = ExtendedModel(experiment, self.progress)
         self.initial = self.current
-        self._complete = self._state()  # after the last effect that was added
+        self._complete = self.model.state()  # after the last effect that was added
+
+    @property
+    def current(self) -> LinearizedFit:
+        """Fit of the model so far."""
+        return self.model.current
+
+    @property
+    def added(self) -> list[AddedEffect]:
+        """The effects found, in their order."""
+        return self.model.added
+
+    @property
+    def reported(self) -> list[AddedEffect]:
+        """The effects found that a diagnosis names, in their order."""
+        return self.model.reported
 
     def progress(self, stage: str, share: float) -> None:
         """Report progress; ends the search where its time is over."""
@@ -177,11 +139,6 @@ class EffectSearch:
         if self._deadline is not None and time.monotonic() > self._deadline:
             self._deadline = None
             raise _TimeLimitError
-
-    @property
-    def reported(self) -> list[AddedEffect]:
-        """The effects found that a diagnosis names, in their order."""
-        return [effect for effect in self.added if is_reportable(effect.entry.effect)]
 
     def assume(self, effect: str, target: str | None) -> None:
         """Add an effect however little it explains.
@@ -195,7 +152,7 @@ class EffectSearch:
         if selection.winner is None or self._add(selection, selection.winner, is_assumed=True):
             what = f"{effect}:{target or 'any joint'} cannot be added"
             raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
-        self._complete = self._state()
+        self._complete = self.model.state()
 
     def run(self) -> None:
         """Add effects until none is worthwhile, the time is over, or Ctrl-C; what was found by then remains."""
@@ -215,8 +172,8 @@ class EffectSearch:
     def _stop(self, reason: str) -> None:
         """Return to the last model that was complete."""
         self.stopped = reason
-        self._restore(self._complete)
-        self._settle()
+        self.model.restore(self._complete)
+        self.model.settle()
 
     def _run(self) -> None:
         """Add effects until none is worthwhile.
@@ -230,68 +187,36 @@ class EffectSearch:
         if self._joints_clearer_away_from_reversals():
             self._add_effects(_REVERSAL_SHARE)
         if self._joints_clearer_away_from_reversals():
-            self._set_reversal_margin(REVERSAL_MARGIN)
+            self.model.set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
-            self._set_reversal_margin(0.0)
+            self.model.set_reversal_margin(0.0)
             self._add_effects(_REVERSAL_SHARE)
         else:
             self._add_effects()
         self.reversal_joints = self._joints_clearer_away_from_reversals()
         if self.reversal_joints:
-            self._set_reversal_margin(REVERSAL_MARGIN)
+            self.model.set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
-        self._reconsider()
+        self._replace_effects()
         self._remove_unproven()
         self._drop_undetermined_parameters()
-        self._settle()
-
-    def _settle(self) -> None:
-        """Fit the present model on all rows, with columns that depend on its coefficients at their final values."""
-        refits = _REFITS if self.current.experiment.equation.depends_on_parameters else int(self._has_margin)
-        for _ in range(refits):
-            entries = self.current.experiment.config.effects
-            experiment = with_effects(self.current.experiment, entries, self.current.theta)
-            self.current = linearize_fit(experiment, self.progress)
-
-    @property
-    def _has_margin(self) -> bool:
-        """True if rows near reversals are excluded."""
-        return self.current.reversal_margin > 0
+        self.model.settle()
 
     def remove(self, effect: AddedEffect, reason: str) -> None:
         """Remove an effect for a reason, a clause of a sentence."""
-        self.added = [other for other in self.added if other is not effect]
-        self._try_refit([other.entry for other in self.added])
+        self.model.added = [other for other in self.added if other is not effect]
+        self.model.try_refit()
         self.removed.append(f"{effect.chosen.effect} on {effect.chosen.target} was removed again: {reason}")
 
     def move_to_end(self, effect: AddedEffect) -> None:
         """Report an effect after all others."""
-        self.added = [*(other for other in self.added if other is not effect), effect]
+        self.model.added = [*(other for other in self.added if other is not effect), effect]
 
     def remove_failed(self, effect: AddedEffect, failure: Exception) -> None:
         """Remove an effect with which the whole model cannot be fitted."""
-        self.added = [other for other in self.added if other is not effect]
+        self.model.added = [other for other in self.added if other is not effect]
         self.failed[effect.chosen.effect, effect.chosen.target] = not_fitted_reason(failure)
-        self._try_refit([other.entry for other in self.added])
-
-    def entries(self, count: int) -> list[EffectEntry]:
-        """The configuration's effects and the first ``count`` reported ones, with errors of nonlinear parameters."""
-        return [*self._configured, *(_with_errors(effect) for effect in self.reported[:count])]
-
-    def final_experiment(self) -> Experiment:
-        """The experiment with all effects found."""
-        entries = self.entries(len(self.reported))
-        return with_effects(self.current.experiment, entries, self.current.estimate.theta)
-
-    @property
-    def _given(self) -> tuple[EffectEntry, ...]:
-        """Effects that the search did not add: those of the configuration and the background."""
-        return (*self._configured, *self._background)
-
-    def _set_reversal_margin(self, margin: float) -> None:
-        """Use only rows at least ``margin`` [s] away from reversals."""
-        self.current = linearize_fit(self.current.experiment, self.progress, reversal_margin=margin)
-        self._try_refit([effect.entry for effect in self.added])
+        self.model.try_refit()
 
     def _joints_clearer_away_from_reversals(self) -> dict[str, tuple[float, float]]:
         """Joints with much more information without the rows near reversals; none if another joint loses too much.
@@ -332,7 +257,7 @@ class EffectSearch:
                 continue
             self._skipped.clear()  # beside this effect, another one may be better
             self._prune()
-            self._complete = self._state()
+            self._complete = self.model.state()
             state = tuple(sorted((effect.chosen.effect, effect.chosen.target) for effect in self.added))
             if state in earlier:
                 break
@@ -359,30 +284,17 @@ class EffectSearch:
 
     def _add(self, selection: SelectionStep, winner: FittedCandidate, is_assumed: bool = False) -> str:
         """Add an effect; the reason why it cannot be, empty if it was. An assumed one need not explain anything."""
-        before = self._state()
+        before = self.model.state()
         self.added.append(AddedEffect(winner.trial.entries[-1], selection, fitted_record(winner, self.current)))
-        failure = self._try_refit([effect.entry for effect in self.added])
+        failure = self.model.try_refit()
         if failure:
-            self._restore(before)
+            self.model.restore(before)
             return not_fitted_reason(failure)
         needs_check = is_reportable(winner.probe.effect) and not is_assumed
         if needs_check and lowers_held_out_likelihood(before.current, self.current):
-            self._restore(before)
+            self.model.restore(before)
             return "increases the error on the held-out data when all effects are fitted together"
         return ""
-
-    def _state(self) -> _State:
-        fitted = tuple((effect.entry, effect.errors) for effect in self.added)
-        return _State(self.current, self._background, tuple(self.added), fitted)
-
-    def _restore(self, state: _State) -> None:
-        """Restore an earlier state."""
-        self.current = state.current
-        self._background = state.background
-        self.added = list(state.added)
-        for effect, (entry, errors) in zip(self.added, state.fitted, strict=True):
-            effect.entry = entry
-            effect.errors = errors
 
     def _skip(self, candidate: FittedCandidate, reason: str) -> None:
         """Do not try a candidate again."""
@@ -390,56 +302,7 @@ class EffectSearch:
         record = fitted_record(candidate, self.current)
         self.failed[record.effect, record.target] = reason
 
-    def _try_refit(self, entries: Sequence[EffectEntry]) -> Exception | None:
-        """Refit; if that fails, restore everything and return the failure."""
-        before = self._state()
-        try:
-            self._refit(entries)
-        except FAILURES as failure:
-            self._restore(before)
-            return failure
-        return None
-
-    def _refit(self, entries: Sequence[EffectEntry]) -> None:
-        """Refit all effects, their nonlinear parameters together, with new weights of the joints."""
-        background = _missing_background([*self._configured, *entries])
-        background = self._background or background if background else ()
-        errors = self._fit_with_background(background, entries)
-        if not all(effect_types()[entry.effect].is_background(entry, self._dt) for entry in self._background):
-            errors = self._fit_with_background((), entries)  # larger than in any log: the search must name it
-        first = len(self._given)
-        fitted_entries = self.current.experiment.config.effects[first:]
-        for i, (effect, entry) in enumerate(zip(self.added, fitted_entries, strict=True)):
-            effect.entry = entry
-            own_errors = {name: error for (k, name), error in errors.items() if k == first + i}
-            effect.errors = own_errors or effect.errors
-
-    def _fit_with_background(
-        self, background: Sequence[EffectEntry], entries: Sequence[EffectEntry]
-    ) -> Mapping[ParameterKey, float]:
-        """Fit with background effects, which become `_background` with their fitted values, and other effects."""
-        errors = self._fit_with([*background, *entries])
-        first = len(self._configured)
-        self._background = self.current.experiment.config.effects[first : first + len(background)]
-        return errors
-
-    def _fit_with(self, entries: Sequence[EffectEntry]) -> Mapping[ParameterKey, float]:
-        """Fit with effects besides those of the configuration; standard errors of their nonlinear parameters."""
-        experiment = with_effects(self.current.experiment, [*self._configured, *entries], self.current.theta)
-        margin = self.current.reversal_margin
-        self.current = linearize_fit(experiment, self.progress, reversal_margin=margin)
-        if not entries:
-            return {}
-        first = len(self._configured)
-        refitted = list(range(first, first + len(entries)))
-        for i, effect in enumerate(self.added, first + len(entries) - len(self.added)):
-            if effect.selection.base.reversal_margin < margin:  # the rows that determine it are excluded
-                refitted.remove(i)
-        trial = fit_trial(self.current, experiment.config.effects, refitted, self.progress, _MAX_ITERATIONS)
-        self.current = trial.linearized
-        return trial.errors
-
-    def _reconsider(self) -> None:
+    def _replace_effects(self) -> None:
         """Replace effects that turn out, beside those found later, to explain less than another one.
 
         One effect at a time is left out and searched for again; then two at a time, for which a single one may stand.
@@ -458,11 +321,19 @@ class EffectSearch:
 
     def _replace(self, replaced: Sequence[AddedEffect]) -> bool:
         """Replace effects by the one that explains most without them, if the model is better with it."""
-        before = self._state()
-        others = [effect for effect in self.added if effect not in replaced]
-        self.added = others
-        if self._try_refit([effect.entry for effect in others]):
-            self._restore(before)
+        before = self.model.state()
+        if not self._add_in_place_of(replaced):
+            self.model.restore(before)
+            return False
+        by = self.added[-1].chosen
+        self.removed += [replacement_sentence(effect.chosen, by) for effect in replaced]
+        return True
+
+    def _add_in_place_of(self, replaced: Sequence[AddedEffect]) -> bool:
+        """Add another effect in place of some; False if none is better, and the model has to be restored."""
+        before = self.current
+        self.model.added = [effect for effect in self.added if effect not in replaced]
+        if self.model.try_refit():
             return False
         without = self.current
         try:
@@ -470,19 +341,14 @@ class EffectSearch:
                 without, self.initial, self.progress, self._effects, self._bursts(), MIN_SHARE, self._skipped
             )
         except FAILURES:
-            self._restore(before)
             return False
         winner = selection.winner
         known = {(effect.chosen.effect, effect.chosen.target) for effect in replaced}
         if winner is None or probe_target(winner.probe) in known or not is_reportable(winner.probe.effect):
-            self._restore(before)
             return False
-        if self._add(selection, winner) or not self._explains_more(before.current, without, len(replaced) > 1):
-            self._restore(before)
+        if self._add(selection, winner):
             return False
-        by = self.added[-1].chosen
-        self.removed += [replacement_sentence(effect.chosen, by) for effect in replaced]
-        return True
+        return self._explains_more(before, without, is_simpler=len(replaced) > 1)
 
     def _explains_more(self, before: LinearizedFit, without: LinearizedFit, is_simpler: bool) -> bool:
         """True if the present model explains more than another one, or if it is simpler, as much.
@@ -509,36 +375,27 @@ class EffectSearch:
     def _remove_unproven(self) -> None:
         """Remove effects that explain little beside the others, unless they bring their joints to the noise floor."""
         while len(self.reported) > 1:
-            weakest = find_unproven(self.current, self._reductions(), self.progress)
+            weakest = find_unproven(self.current, self.model.without_each(), self.progress)
             if weakest is None:
                 return
             effect = self.reported[weakest]
-            before = self._state()
-            self.added = [other for other in self.added if other is not effect]
-            if self._try_refit([other.entry for other in self.added]):
-                self._restore(before)
+            before = self.model.state()
+            self.model.added = [other for other in self.added if other is not effect]
+            if self.model.try_refit():
+                self.model.restore(before)
                 return
             self.removed.append(unproven_sentence(effect.chosen))
-
-    def _reductions(self) -> list[LinearizedFit]:
-        """Models without each of the reported effects, on the rows of the present one."""
-        models = []
-        for effect in self.reported:
-            others = [other.entry for other in self.added if other is not effect]
-            reduced = with_effects(self.current.experiment, [*self._given, *others], self.current.theta)
-            models.append(linearize_fit(reduced, self.progress, self.current))
-        return models
 
     def _prune(self) -> None:
         """Remove effects that are no longer worthwhile, except the newest."""
         i = 0
         while len(self.added) > 1 and i < len(self.added) - 1:
             others = [effect.entry for k, effect in enumerate(self.added) if k != i]
-            if self._is_needed(self.added[i], [*self._given, *others]):
+            if self._is_needed(self.added[i], [*self.model.given, *others]):
                 i += 1
                 continue
             removed = self.added.pop(i)
-            if self._try_refit(others):  # the rest cannot be fitted without it
+            if self.model.try_refit():  # the rest cannot be fitted without it
                 self.added.insert(i, removed)
                 i += 1
                 continue
@@ -564,8 +421,13 @@ class EffectSearch:
     def _drop_undetermined_parameters(self) -> None:
         """Leave out optional parameters that the data do not determine."""
         entries = [_without_undetermined(effect) for effect in self.added]
-        if any(entry is not effect.entry for entry, effect in zip(entries, self.added, strict=True)):
-            self._try_refit(entries)
+        if all(entry is effect.entry for entry, effect in zip(entries, self.added, strict=True)):
+            return
+        before = self.model.state()
+        for effect, entry in zip(self.added, entries, strict=True):
+            effect.entry = entry
+        if self.model.try_refit():
+            self.model.restore(before)
 
 
 def _information(fit: LinearizedFit) -> Array:
@@ -576,17 +438,6 @@ def _information(fit: LinearizedFit) -> Array:
 def _rms_residual(fit: LinearizedFit) -> Array:
     """Rms residual of each joint's rows, shape (nv,) [N·m or N]."""
     return np.asarray(fit.noise * np.sqrt(fit.sse.sum(axis=0) / np.maximum(fit.row_counts.sum(axis=0), 1.0)))
-
-
-def _missing_background(entries: Sequence[EffectEntry]) -> tuple[EffectEntry, ...]:
-    """Background effects, which every log has a little of, that the entries do not contain."""
-    present = {(entry.effect, entry.joint, entry.link) for entry in entries}
-    missing = []
-    for kind in effect_types().values():
-        entry = kind.background_entry()
-        if entry is not None and (entry.effect, entry.joint, entry.link) not in present:
-            missing.append(entry)
-    return tuple(missing)
 
 
 def _without_undetermined(effect: AddedEffect) -> EffectEntry:
@@ -602,18 +453,3 @@ def _without_undetermined(effect: AddedEffect) -> EffectEntry:
         return effect.entry
     kept = {name: value for name, value in effect.entry.parameters.items() if name not in undetermined}
     return effect.entry.model_copy(update={"parameters": kept})
-
-
-def _with_errors(effect: AddedEffect) -> EffectEntry:
-    """Entry of an effect, its nonlinear parameters with their standard errors."""
-    given = {name: _with_error(effect, name, value) for name, value in effect.entry.parameters.items()}
-    return effect.entry.model_copy(update={"parameters": given})
-
-
-def _with_error(effect: AddedEffect, name: str, value: Any) -> Any:
-    """A nonlinear parameter, or a list of them, with standard errors if they are known."""
-    if isinstance(value, list):
-        return [_with_error(effect, f"{name}.{k}", x) for k, x in enumerate(value)]
-    error = effect.errors.get(name, 0.0)
-    is_known = isinstance(value, float) and np.isfinite(error) and error > 0
-    return {"value": value, "standard_error": error} if is_known else value

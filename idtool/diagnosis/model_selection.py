@@ -215,8 +215,7 @@ def _simplest_of_best(worthwhile: Sequence[FittedCandidate]) -> FittedCandidate:
 
 def _is_worth_adding(candidate: FittedCandidate, base: LinearizedFit, inflation: float, min_share: float) -> bool:
     probe = candidate.probe
-    least = max(min_share, effect_types()[probe.effect].min_explained_share)
-    return is_worthwhile(candidate.gain, base, inflation, probe.joint is not None, probe.complexity, least)
+    return is_worthwhile(candidate.gain, base, inflation, probe.joint is not None, probe.complexity, min_share)
 
 
 def is_worthwhile(

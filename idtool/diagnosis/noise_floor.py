@@ -9,6 +9,7 @@ residual there, and around a reversal no more than the unknown direction of fric
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,7 +93,7 @@ def estimate_noise_floor(
     joint_count = len(experiment.equation.joints)
     moving_squares = np.zeros(joint_count)
     moving_count = np.zeros(joint_count)
-    unclear: list[list[tuple[Array, Array]]] = [[] for _ in range(joint_count)]
+    resting: list[list[tuple[Array, Array]]] = [[] for _ in range(joint_count)]
     periodograms: list[list[Array]] = [[] for _ in range(joint_count)]
     for run in experiment.runs:
         parts = run.parts(held_out)
@@ -104,7 +105,7 @@ def estimate_noise_floor(
             moving_count += moving.sum(axis=1)
             unknowable = _unknowable_torque(model, batch)
             for j in range(joint_count):
-                unclear[j].append((e[j, ~moving[j]], unknowable[j, ~moving[j]]))
+                resting[j].append((e[j, ~moving[j]], unknowable[j, ~moving[j]]))
                 periodograms[j] += _periodograms(e[j], moving[j], dt * low_pass.stride)
 
     residual = np.sqrt(moving_squares / np.maximum(moving_count, 1))
@@ -118,13 +119,28 @@ def estimate_noise_floor(
             noise[j] = min(rms, residual[j])
 
     mean_squares = []
-    for j, parts_of_joint in enumerate(unclear):
-        e = np.concatenate([residual_part for residual_part, _ in parts_of_joint])
-        unknowable = np.concatenate([torque for _, torque in parts_of_joint])
-        squares = np.minimum(np.square(e), np.square(noise[j]) + np.square(unknowable))
-        total = np.square(noise[j]) * moving_count[j] + squares.sum()
-        mean_squares.append(total / max(moving_count[j] + len(e), 1))
+    for joint_noise, joint_moving_count, at_rest in zip(noise, moving_count, resting, strict=True):
+        mean_squares.append(_mean_square(float(joint_noise), float(joint_moving_count), at_rest))
     return NoiseFloor(np.sqrt(mean_squares), noise, residual, slow_power_ratio)
+
+
+def _mean_square(noise: float, moving_count: float, resting: Sequence[tuple[Array, Array]]) -> float:
+    """Mean square of a joint's noise while it moves, and of the residual that no model can explain while it rests.
+
+    Parameters
+    ----------
+    noise
+        Its noise.
+    moving_count
+        Number of samples in which it moves.
+    resting
+        Residual, and largest unknowable torque, of the samples in which it rests or reverses, batch after batch.
+    """
+    e = np.concatenate([residual for residual, _ in resting])
+    unknowable = np.concatenate([torque for _, torque in resting])
+    squares = np.minimum(np.square(e), np.square(noise) + np.square(unknowable))
+    total = np.square(noise) * moving_count + squares.sum()
+    return float(total / max(moving_count + len(e), 1))
 
 
 def _unknowable_torque(model: LinearizedModel, batch: Batch) -> Array:

@@ -72,7 +72,7 @@ class Candidate:
     parameters
         Number of parameters.
     reason
-        Why it was rejected, a plain sentence; empty for one that was added.
+        Reason why it was rejected, a plain sentence; empty for one that was added.
     """
 
     effect: str
@@ -123,7 +123,7 @@ class EffectProfile:
     joint
         Name of the joint whose torque it is: the effect's own, or the one on which the effect explains most.
     cause, cause_joint
-        What the torque is drawn against, see `NamedEffect.cause`, and the joint that it is of.
+        Quantity that the torque is drawn against, see `NamedEffect.cause`, and the joint that it is of.
     period
         Period to which a position is reduced [rad or m]; None: it is not.
     in_direction_of_motion
@@ -165,7 +165,7 @@ class DiagnosisStep:
     parameters, standard_error
         Values and standard errors by parameter name; an error is None if it is not known.
     location
-        Where the residual was that it explains.
+        Location of the residual that it explains.
     significance
         Its held-out gain in standard errors.
     pair
@@ -181,7 +181,7 @@ class DiagnosisStep:
     sentence
         The result, for people.
     doubt
-        What speaks against it, a plain sentence; empty if nothing does.
+        Reason to doubt it, a plain sentence; empty if there is none.
     parts
         Its size on each log by itself, or on the two halves of the only one; empty if it could not be estimated there.
     profile
@@ -253,11 +253,11 @@ class Diagnosis:
     floor
         Noise floor, rms by joint and ``overall`` [N·m or N].
     verdict
-        How much is explained.
+        Summary: how much of the disagreement is explained.
     maps_before, maps_after
         Residuals by joint.
     notices
-        What a user should know.
+        Notices for the user.
     seconds
         Wall time.
     """

@@ -58,8 +58,13 @@ class ResidualSeries:
     @property
     def segments(self) -> tuple[slice, ...]:
         """Parts without a gap."""
-        ends = (*self.segment_starts[1:], len(self.t))
-        return tuple(slice(start, end) for start, end in zip(self.segment_starts, ends, strict=True))
+        return segments_between(self.segment_starts, len(self.t))
+
+
+def segments_between(starts: Sequence[int], count: int) -> tuple[slice, ...]:
+    """Slices of ``count`` samples that begin at the starts, each up to the next."""
+    ends = (*starts[1:], count)
+    return tuple(slice(start, end) for start, end in zip(starts, ends, strict=True))
 
 
 def residual_series(experiment: Experiment, models: Models, progress: Progress, stage: str) -> ResidualSeries:

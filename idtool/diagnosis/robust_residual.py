@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
-from idtool.diagnosis.residual_series import residual_chunks
+from idtool.diagnosis.residual_series import residual_chunks, segments_between
 from idtool.diagnosis.robust_fit import robust_coefficients
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
@@ -50,8 +50,7 @@ class RobustResidual:
     @property
     def segments(self) -> tuple[slice, ...]:
         """Parts without a gap."""
-        ends = (*self.segment_starts[1:], len(self.t))
-        return tuple(slice(start, end) for start, end in zip(self.segment_starts, ends, strict=True))
+        return segments_between(self.segment_starts, len(self.t))
 
     def part(self, samples: slice, start: float) -> RobustResidual:
         """Samples of one log, whose times count from its own start [s]."""

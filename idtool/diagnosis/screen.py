@@ -54,7 +54,7 @@ class ScreenedProbe:
     inflation
         Ratio of the covariance to that of independent rows.
     failure
-        Why it could not be evaluated; None if it was.
+        Exception for which it could not be evaluated; None if it was.
     """
 
     probe: Probe

@@ -247,7 +247,7 @@ def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: Lineari
 
 
 def _implausibility(candidate: FittedCandidate, summary: DataSummary) -> str:
-    """Why no robot has such an effect."""
+    """Reason why no robot has such an effect, as a clause; empty if one may."""
     fit = candidate.trial.linearized
     equation = fit.experiment.equation
     entry = candidate.trial.entries[-1]

@@ -25,7 +25,7 @@ class Stages:
     Attributes
     ----------
     notices
-        What was skipped, and why.
+        Stages that were skipped, with reasons.
     """
 
     def __init__(self, interrupted: bool) -> None:

@@ -1,4 +1,4 @@
-"""Effects for which too little speaks: small beside another one, and without bringing their joints to the noise floor.
+"""Effects without enough evidence: small beside another one, and their joints stay above the noise floor with them.
 
 What an effect is only nearly right about, such as the deflection of an elastic joint, leaves a residual in proportion
 to it, which some other effect always imitates in part. An effect that is truly there explains all that is left.
@@ -20,7 +20,7 @@ _MIN_EXPLAINED = 0.7  # of its joints' residual above the noise floor, that a sm
 
 
 def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], progress: Progress) -> int | None:
-    """Index of the effect for which least speaks; None if enough speaks for all.
+    """Index of the effect with the least evidence; None if there is enough for all.
 
     Parameters
     ----------
@@ -33,15 +33,15 @@ def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], prog
     """
     rows = np.maximum(current.row_counts.sum(axis=0), 1.0)
     unit = np.square(current.noise) / rows
-    saved = np.array([(one.sse - current.sse).sum(axis=0) * unit for one in without])  # (effects, nv) mean squares
-    totals = saved.sum(axis=1)
+    explained = np.array([(one.sse - current.sse).sum(axis=0) * unit for one in without])  # (effects, nv) mean squares
+    totals = explained.sum(axis=1)
     remaining = current.sse.sum(axis=0) * unit
     theta = current.estimate.theta
     floor = estimate_noise_floor(current.experiment, theta, progress, current.reversal_margin)
     above_floor = np.maximum(remaining - np.square(floor.noise), 0.0)
 
     unproven = []
-    for k, own in enumerate(saved):
+    for k, own in enumerate(explained):
         if totals[k] >= _MIN_SHARE_OF_LARGEST * totals.max():
             continue
         if _explained_share(own, above_floor) < _MIN_EXPLAINED:
@@ -49,7 +49,7 @@ def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], prog
     return min(unproven, key=lambda k: float(totals[k])) if unproven else None
 
 
-def _explained_share(saved: Array, above_floor: Array) -> float:
+def _explained_share(explained: Array, above_floor: Array) -> float:
     """Share of the residual above the noise floor that an effect explains, on the joint where it explains most."""
-    j = int(np.argmax(saved))
-    return float(saved[j] / max(saved[j] + above_floor[j], np.finfo(float).tiny))
+    j = int(np.argmax(explained))
+    return float(explained[j] / max(explained[j] + above_floor[j], np.finfo(float).tiny))

@@ -110,6 +110,6 @@ def distinguishing_experiment(first: Candidate, second: Candidate) -> str:
     hints = [f"{kinds[candidate.effect].excitation_hint} ({candidate.effect})" for candidate in (first, second)]
     experiment = f"log {hints[0]}, and {hints[1]}"
     if any(kinds[candidate.effect].acts_in_bursts for candidate in (first, second)):
-        return experiment  # no motion can be designed for what acts at times of its own
+        return experiment  # no motion can be designed for what acts whatever the motion
     names = [":".join(filter(None, (one.effect, one.joint or one.link))) for one in (first, second)]
     return f"{experiment}; or design the motion: `idtool excite URDF --log LOG --decide {names[0]} {names[1]}`"

@@ -364,7 +364,7 @@ def _filtered_columns(effect: Effect, motion: Motion, batch: Batch) -> Sequence[
 
 
 def _kept_columns(effect: Effect, motion: Motion) -> KeptColumns | None:
-    """Where columns of an effect along a motion may be kept; None if they depend on more than q, v and a."""
+    """Store for columns of an effect along a motion; None if they depend on more than q, v and a of the batch."""
     kept = motion.kept_columns
     if kept is None or effect.column_key is None or not kept.are_along(motion.q, motion.v, motion.a):
         return None

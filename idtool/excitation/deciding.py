@@ -79,7 +79,7 @@ class Separation:
 
 @dataclass(frozen=True)
 class Decision:
-    """How well trajectories distinguish two explanations.
+    """Separation of two explanations on a designed trajectory, and on what it is compared with.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ class Discrimination:
 
     def __init__(self, task: DesignTask, config: Config, a: Explanation, b: Explanation) -> None:
         model = task.model
-        common = without_effects(config, model, (*a.owners, *b.owners))
+        common = without_effects(config, model, (*a.keys, *b.keys))
         self.config = config
         self.noise = task.noise
         self.equation = LinearModel(model.names, build_effects(model, common))
@@ -148,15 +148,28 @@ class Discrimination:
         common = np.arange(r)
         columns_a = np.arange(r, r + size_a)
         columns_b = np.arange(r + size_a, r + size_a + size_b)
-        differences = []
-        for true, fitted in ((columns_a, columns_b), (columns_b, columns_a)):
-            remaining = _residual(parts, np.append(common, fitted), int(true[-1]))
-            squares = np.array([np.square(part).sum() for part in remaining])
-            torque = np.sqrt(sum(np.square(part[:, true[-1]]).sum() for part in parts))
-            significance = float(np.sqrt(squares.sum()))
-            rms = np.sqrt(squares / np.maximum(independent, 1.0)) * self.noise
-            differences.append(Separation(rms, significance, significance / max(float(torque), 1e-300)))
-        return min(differences, key=lambda difference: difference.significance)
+        a_is_true = self._difference(parts, independent, np.append(common, columns_b), int(columns_a[-1]))
+        b_is_true = self._difference(parts, independent, np.append(common, columns_a), int(columns_b[-1]))
+        return min(a_is_true, b_is_true, key=lambda difference: difference.significance)
+
+    def _difference(self, parts: Sequence[Array], independent: Array, fitted: Indices, true_torque: int) -> Separation:
+        """Difference that remains of the true explanation's torque after other columns are fitted to it.
+
+        Parameters
+        ----------
+        parts, independent
+            Rows, and number of independent samples, as in `DataRows`.
+        fitted
+            Indices of the columns that are fitted: those of the model and of the other explanation.
+        true_torque
+            Index of the column of the true explanation's torque.
+        """
+        remaining = _residual(parts, fitted, true_torque)
+        squares = np.array([np.square(part).sum() for part in remaining])
+        rms = np.sqrt(squares / np.maximum(independent, 1.0)) * self.noise
+        significance = float(np.sqrt(squares.sum()))
+        torque = float(np.sqrt(sum(np.square(part[:, true_torque]).sum() for part in parts)))
+        return Separation(rms, significance, significance / max(torque, 1e-300))
 
     @property
     def _sizes(self) -> tuple[int, int]:
@@ -198,7 +211,7 @@ class DataRows:
 
 
 def _residual(parts: Sequence[Array], columns: Indices, target: int) -> list[Array]:
-    """What a least-squares fit of columns leaves of the target column, part by part."""
+    """Residual of the target column after a least-squares fit of other columns, part by part."""
     rows = np.concatenate(parts)
     X = rows[:, columns]
     norms = np.linalg.norm(X, axis=0)
@@ -263,7 +276,7 @@ def decide(
     check_decidable(discrimination.separation([ordinary_rows]), *explanations)
     ordinary_separation = discrimination.separation([*existing, ordinary_rows])
 
-    search = _Exchange(ordinary, config, options, discrimination, existing)
+    search = _SegmentSearch(ordinary, config, options, discrimination, existing)
     trajectory, interrupted = search.run(progress)
     progress("predicting the standard errors", 0.0)
     rows = discrimination.rows([predicted_signals(task, config, trajectory, task.rate)])
@@ -279,7 +292,7 @@ def decide(
     return designed, decision
 
 
-class _Exchange:
+class _SegmentSearch:
     """Search for the segments of a trajectory, one exchange after the other.
 
     Parameters
@@ -323,25 +336,29 @@ class _Exchange:
         options = replace(self._options, duration=self._duration, friction_share=0.0)
         start = design(self._task, self._config, options, None, progress)
         segments = [start.trajectory.segments[0]] * self._count
+        interrupted = start.interrupted
+        if not interrupted:
+            try:
+                self._exchange(segments, progress)
+            except KeyboardInterrupt:
+                interrupted = True
+        return Trajectory(tuple(segments) * self._cycles), interrupted
+
+    def _exchange(self, segments: list[TrajectorySegment], progress: Progress) -> None:
+        """Exchange segments in place, each for the proposal with which the explanations differ more."""
         rows = [self._rows(segments[0])] * self._count
         best = self._significance(rows)
-        if start.interrupted:
-            return Trajectory(tuple(segments) * self._cycles), True
-        try:
-            for i in range(self._options.iterations):
-                progress("deciding", i / self._options.iterations)
-                changed = None if self._rng.random() < _NEW else segments[self._rng.integers(self._count)]
-                segment, own_rows = self._proposal(changed)
-                exchanged = [[*rows[:k], own_rows, *rows[k + 1 :]] for k in range(self._count)]
-                values = [self._significance(option) for option in exchanged]
-                k = int(np.argmax(values))
-                if values[k] > best:
-                    best = values[k]
-                    segments[k] = segment
-                    rows[k] = own_rows
-        except KeyboardInterrupt:
-            return Trajectory(tuple(segments) * self._cycles), True
-        return Trajectory(tuple(segments) * self._cycles), False
+        for i in range(self._options.iterations):
+            progress("deciding", i / self._options.iterations)
+            changed = None if self._rng.random() < _NEW else segments[self._rng.integers(self._count)]
+            segment, own_rows = self._proposal(changed)
+            exchanged = [[*rows[:k], own_rows, *rows[k + 1 :]] for k in range(self._count)]
+            values = [self._significance(option) for option in exchanged]
+            k = int(np.argmax(values))
+            if values[k] > best:
+                best = values[k]
+                segments[k] = segment
+                rows[k] = own_rows
 
     def _significance(self, rows: Sequence[DataRows]) -> float:
         data = [own_rows.repeated(self._cycles) for own_rows in rows]

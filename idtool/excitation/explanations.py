@@ -5,7 +5,7 @@ Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +32,7 @@ _TYPICAL_RATE = 200.0  # Hz
 _STEP = 1e-3  # of a parameter, or this if it is small: step of a finite difference
 _SMALL_VALUE = 0.1  # below which a parameter counts as small
 
-EffectOwner = tuple[str, str | None]  # id of an effect, and the joint or link it acts on
+EffectKey = tuple[str, str | None]  # id of an effect, and the joint or link that it acts on
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Explanation:
     entries
         Their configuration entries.
     source
-        Where the parameters come from: ``configuration``, ``logs``, ``typical size``, or a file's name.
+        Origin of the parameters: ``configuration``, ``logs``, ``typical size``, or a file's name.
     """
 
     name: str
@@ -54,35 +54,43 @@ class Explanation:
     source: str
 
     @property
-    def owners(self) -> tuple[EffectOwner, ...]:
+    def keys(self) -> tuple[EffectKey, ...]:
         """The effects, each with what it acts on."""
-        return tuple((entry.effect, entry.joint or entry.link) for entry in self.entries)
+        return tuple(_key_of(entry) for entry in self.entries)
 
 
-def configured_entries(config: Config, owner: EffectOwner) -> tuple[EffectEntry, ...]:
+def _key_of(entry: EffectEntry) -> EffectKey:
+    return entry.effect, entry.joint or entry.link
+
+
+def configured_entries(config: Config, key: EffectKey) -> tuple[EffectEntry, ...]:
     """Entries of an effect that a configuration has under `effects`, or with a value under `friction`."""
-    entries = [entry for entry in config.effects if (entry.effect, entry.joint or entry.link) == owner]
+    entries = [entry for entry in config.effects if _key_of(entry) == key]
     if entries:
         return tuple(entries)
-    effect, joint = owner
+    effect, joint = key
+    if joint is None:
+        return ()
     for term, kind in friction_types().items():
-        value = getattr(config.friction_of(joint), term) if kind.id == effect and joint is not None else None
+        if kind.id != effect:
+            continue
+        value = getattr(config.friction_of(joint), term)
         if isinstance(value, UncertainValue) and value.value:
             return (EffectEntry(effect=effect, joint=joint, parameters={kind.coefficient_name: value.value}),)
     return ()
 
 
-def without_effects(config: Config, model: RobotModel, owners: Sequence[EffectOwner]) -> Config:
+def without_effects(config: Config, model: RobotModel, keys: Sequence[EffectKey]) -> Config:
     """A configuration without effects, whether under `effects` or under `friction`."""
-    left = tuple(entry for entry in config.effects if (entry.effect, entry.joint or entry.link) not in owners)
+    entries = tuple(entry for entry in config.effects if _key_of(entry) not in keys)
     friction = {}
     for joint in model.names:
-        dropped = {term: False for term, kind in friction_types().items() if (kind.id, joint) in owners}
+        dropped = {term: False for term, kind in friction_types().items() if (kind.id, joint) in keys}
         friction[joint] = config.friction_of(joint).model_copy(update=dropped)
-    return config.model_copy(update={"effects": left, "friction": friction})
+    return config.model_copy(update={"effects": entries, "friction": friction})
 
 
-def fitted_entry(experiment: Experiment, config: Config, owner: EffectOwner, progress: Progress) -> EffectEntry | None:
+def fitted_entry(experiment: Experiment, config: Config, key: EffectKey, progress: Progress) -> EffectEntry | None:
     """Entry of an effect with the parameters that explain logs best; None if they show nothing of it.
 
     Parameters
@@ -91,7 +99,7 @@ def fitted_entry(experiment: Experiment, config: Config, owner: EffectOwner, pro
         The logs.
     config
         Configuration without the effect.
-    owner
+    key
         The effect.
     progress
         Callback for the stage and its progress, from 0 to 1.
@@ -99,13 +107,13 @@ def fitted_entry(experiment: Experiment, config: Config, owner: EffectOwner, pro
     without = with_effects(replace(experiment, config=config), config.effects)
     search = EffectSearch(without, (), 1, progress)
     try:
-        search.assume(*owner)
+        search.assume(*key)
     except ConfigError:
         return None
     return search.reported[-1].entry
 
 
-def typical_entry(task: DesignTask, config: Config, owner: EffectOwner) -> EffectEntry | None:
+def typical_entry(task: DesignTask, config: Config, key: EffectKey) -> EffectEntry | None:
     """Entry of an effect of typical size, None if there is none.
 
     Of the nonlinear values that a diagnosis tries, those in the middle are taken. The coefficients are such that on a
@@ -117,24 +125,19 @@ def typical_entry(task: DesignTask, config: Config, owner: EffectOwner) -> Effec
         Robot and limits.
     config
         Configuration without the effect.
-    owner
+    key
         The effect.
     """
     model = task.model
     equation = LinearModel(model.names, build_effects(model, config))
     motion = _random_motion(task, equation)
     band = config.filter.cutoff_hz or default_cutoff(1 / task.rate)
-    probes = [probe for probe in _probes(equation, task, motion, band) if _is_probe_of(probe, owner)]
+    probes = [probe for probe in _probes(equation, task, motion, band) if _is_probe_of(probe, key)]
     if not probes:
         return None
     probe = probes[len(probes) // 2]
     columns = probe.columns(motion, LinearizedModel(equation, equation.prior, motion))
-    typical = np.zeros(probe.coefficient_count)
-    for j, rows in columns.items():
-        rms = np.sqrt(np.square(rows).mean(axis=1))
-        torque = _TYPICAL_SHARE * np.sqrt(np.square(motion.tau[j]).mean()) / np.sqrt(len(rows))
-        size = np.divide(torque, rms, out=np.full(len(rows), np.inf), where=rms > 0)
-        typical = np.where(typical > 0, np.minimum(typical, size), size)
+    typical = _typical_coefficients(columns, motion, probe.coefficient_count)
     # A coefficient of 1 is the whole effect where the probe's column depends on the nonlinear values alone.
     for c in (typical, -typical, np.ones_like(typical)):
         if np.isfinite(c).all() and probe.is_feasible(c):
@@ -144,8 +147,19 @@ def typical_entry(task: DesignTask, config: Config, owner: EffectOwner) -> Effec
     return None
 
 
-def _is_probe_of(probe: Probe, owner: EffectOwner) -> bool:
-    return (probe.effect, probe.joint or probe.link) == owner
+def _typical_coefficients(columns: Mapping[int, Array], motion: Motion, count: int) -> Array:
+    """Coefficients by which columns, shape (count, N) by joint, reach their share of the torque on some joint."""
+    typical = np.zeros(count)
+    for j, rows in columns.items():
+        rms = np.sqrt(np.square(rows).mean(axis=1))
+        torque = _TYPICAL_SHARE * np.sqrt(np.square(motion.tau[j]).mean()) / np.sqrt(len(rows))
+        size = np.divide(torque, rms, out=np.full(len(rows), np.inf), where=rms > 0)
+        typical = np.where(typical > 0, np.minimum(typical, size), size)
+    return typical
+
+
+def _is_probe_of(probe: Probe, key: EffectKey) -> bool:
+    return (probe.effect, probe.joint or probe.link) == key
 
 
 def _random_motion(task: DesignTask, equation: LinearModel) -> Motion:
@@ -200,13 +214,13 @@ class ExplanationTorque:
     def __init__(self, model: RobotModel, config: Config, explanation: Explanation) -> None:
         self._model = model
         self._config = config
-        self._equation = self._with(explanation.entries)
-        self._changed: list[tuple[LinearModel, float]] = []
+        self._equation = self._equation_with(explanation.entries)
+        self._perturbed: list[tuple[LinearModel, float]] = []
         for i, entry in enumerate(explanation.entries):
             for name, index, value in _numbers(entry):
                 step = _STEP * max(abs(value), _SMALL_VALUE)
-                self._changed.append(self._stepped(explanation.entries, i, (name, index, value), step))
-        self.size = len(self._changed) + 1
+                self._perturbed.append(self._perturbed_equation(explanation.entries, i, (name, index, value), step))
+        self.size = len(self._perturbed) + 1
 
     def rows(self, motion: Motion, common_torque: Array) -> Array:
         """Derivatives by the parameters and, last, the torque; shape (size, nv, N).
@@ -220,17 +234,17 @@ class ExplanationTorque:
         """
         whole = self._equation.torque(motion, self._equation.prior)
         rows = []
-        for equation, step in self._changed:
+        for equation, step in self._perturbed:
             rows.append((equation.torque(motion, equation.prior) - whole) / step)
         rows.append(whole - common_torque)
         return np.stack(rows)
 
-    def _with(self, entries: Sequence[EffectEntry]) -> LinearModel:
+    def _equation_with(self, entries: Sequence[EffectEntry]) -> LinearModel:
         """The model with further effects."""
         config = self._config.model_copy(update={"effects": (*self._config.effects, *entries)})
         return LinearModel(self._model.names, build_effects(self._model, config))
 
-    def _stepped(
+    def _perturbed_equation(
         self, entries: Sequence[EffectEntry], i: int, number: tuple[str, int | None, float], step: float
     ) -> tuple[LinearModel, float]:
         """The model with one number of an entry changed by a step, which is negative where it may not be larger."""
@@ -245,7 +259,7 @@ class ExplanationTorque:
                 effect_from_entry(entry, self._model)
             except ConfigError:
                 continue
-            return self._with([*entries[:i], entry, *entries[i + 1 :]]), signed_step
+            return self._equation_with([*entries[:i], entry, *entries[i + 1 :]]), signed_step
         raise ConfigError(f"effects: {entries[i].effect}", f"{name} of {value:g} is at both ends of its range")
 
 

@@ -95,7 +95,7 @@ def summary(report: DiagnosisReport) -> str:
 
 
 def worse_motion(step: StepReport) -> list[str]:
-    """Where a step makes the simulated motion worse, although it predicts the torque better; empty: nowhere.
+    """Joints whose simulated motion a step makes worse, although it predicts the torque better.
 
     The joint that the effect acts on, and ``overall``. Any other joint alone is left aside, since it moves with those.
     """
@@ -127,7 +127,7 @@ def _joint_words(name: str) -> str:
 
 
 def _final_motion(report: DiagnosisReport) -> str:
-    """How the simulated motion of the final model compares with that of the original one; empty: it is not known."""
+    """Clause that compares the simulated motion of the final model with the original one's; empty if not known."""
     if "overall" in report.rollout_worse:
         return ", and that of the final model is worse than that of the original one"
     first = _error(report.before.simulation, "overall")

@@ -60,7 +60,7 @@ def excitation_report(
     design
         The trajectory.
     decision
-        How well it distinguishes two explanations; None if it was not designed for that.
+        Separation of two explanations on it; None if it was not designed for that.
     sources
         The files that were read.
     urdf, logs

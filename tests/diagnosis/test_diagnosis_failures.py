@@ -19,7 +19,7 @@ from sentences import sentences
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.data.signals import Motion
 from idtool.diagnosis import diagnose as module
-from idtool.diagnosis import effect_search
+from idtool.diagnosis import effect_search, extended_model
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.records import Diagnosis
@@ -87,13 +87,13 @@ def test_an_effect_that_the_motion_does_not_tell_is_skipped(arm: Experiment, mon
 
 
 def test_an_effect_that_fails_once_it_was_chosen_is_skipped(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
-    inner = effect_search.fit_trial
+    inner = extended_model.fit_trial
 
     def fit_trial(before: Any, entries: Any, *others: Any) -> Any:
         refuse_springs(entries)
         return inner(before, entries, *others)
 
-    monkeypatch.setattr(effect_search, "fit_trial", fit_trial)
+    monkeypatch.setattr(extended_model, "fit_trial", fit_trial)
     without_spring(diagnosed(arm), REASON)
     search = EffectSearch(arm, EFFECTS, 3, silent)
     with pytest.raises(ConfigError, match="parallel_spring:j1 cannot be added"):
@@ -144,7 +144,8 @@ def test_an_effect_without_which_the_rest_cannot_be_fitted_stays(
             raise ConfigError("effects", REASON)
         return inner(experiment, *others, **options)
 
-    monkeypatch.setattr(effect_search, "linearize_fit", linearize_fit)
+    for part in (effect_search, extended_model):
+        monkeypatch.setattr(part, "linearize_fit", linearize_fit)
     search._prune()
     assert search.current is before
     monkeypatch.setattr(EffectSearch, "_is_needed", lambda self, one, others: False)
@@ -207,7 +208,8 @@ def test_what_was_found_before_ctrl_c_is_reported(arm: Experiment, monkeypatch: 
             raise KeyboardInterrupt
         return inner(*arguments, **options)
 
-    monkeypatch.setattr(effect_search, "linearize_fit", linearize_fit)
+    for part in (effect_search, extended_model):
+        monkeypatch.setattr(part, "linearize_fit", linearize_fit)
     found = diagnosed(arm)
     assert named(found) <= {SPRING, OFFSET}
     assert found.after.validation is not None

@@ -129,7 +129,7 @@ def test_without_the_option_nothing_is_decided(tmp_path: Path) -> None:
         (("stribeck_friction:c", "quadratic_drag:b"), "c is not a joint of the model; available: a, b"),
         (("stribeck_friction", "quadratic_drag:b"), "stribeck_friction acts on a joint; give stribeck_friction:JOINT"),
         (("quadratic_drag:b", "quadratic_drag:b"), "are the same explanation; give two different ones"),
-        (("external_contact:fore", "backlash:b"), "external_contact acts at times of its own"),
+        (("external_contact:fore", "backlash:b"), "external_contact acts in certain time intervals"),
         (("payload:fore", "backlash:b"), "the parameters of payload:fore are not known; give them under effects"),
         (("rotor_inertia:a", "quadratic_drag:b"), "no log can decide between them"),
         (("missing.yaml", "quadratic_drag:b"), "missing.yaml: "),

@@ -12,7 +12,7 @@ from exported import model_of
 from simulator_pair import JOINTS, MJCF, URDF
 
 from idtool.common.exceptions import ModelError
-from idtool.reporting.export import Export, patched
+from idtool.reporting.export import Export, patch_file
 from idtool.reporting.results.diagnosis import ChangeReport, ComparedParameter
 
 FRICTION = {
@@ -26,7 +26,7 @@ def export(folder: Path, text: str, changes: list[ChangeReport] | None, *effects
     (folder / "arm.urdf").write_text(URDF)
     identified = model_of(folder / "arm.urdf", friction=FRICTION, effects=list(effects))
     (folder / "scene.xml").write_text(text)
-    return patched(identified, folder / "scene.xml", changes)
+    return patch_file(identified, folder / "scene.xml", changes)
 
 
 def change(effect: str, owner: str | None, link: str | None = None, **values: tuple[Any, Any]) -> ChangeReport:

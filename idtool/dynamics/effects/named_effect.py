@@ -89,9 +89,6 @@ class NamedEffect(Effect):
         What a diagnosis draws its torque against. The torque is that of the actuator as the model predicts it.
     follows_direction
         True if its torque changes its sign with the direction of motion, and is drawn along this direction.
-    min_explained_share
-        Share of a joint's squared residual that it must explain to be reported, where its column contains the
-        residual's own noise.
     is_friction
         True for friction, which may act on the motor side of a transmission.
     acts_at_reversals
@@ -124,7 +121,6 @@ class NamedEffect(Effect):
     requires: tuple[str, ...] = ()
     cause: Cause = "velocity"
     follows_direction: bool = False
-    min_explained_share: float = 0.0
     is_friction: bool = False
     acts_at_reversals: bool = False
     reportable: bool = True
@@ -167,7 +163,7 @@ class NamedEffect(Effect):
 
     @classmethod
     def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
-        """Why no robot has such an effect, as a clause; empty: one may.
+        """Reason why no robot has such an effect, as a clause; empty if one may.
 
         Parameters
         ----------
@@ -182,7 +178,7 @@ class NamedEffect(Effect):
 
     @classmethod
     def doubt(cls, entries: Sequence[EffectEntry], model: RobotModel) -> str:
-        """Why effects of this kind may stand in for something else, as a sentence; empty: nothing speaks against them.
+        """Reason to doubt effects of this kind, which may stand in for something else, as a sentence; empty if none.
 
         Parameters
         ----------

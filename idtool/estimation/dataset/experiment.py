@@ -327,16 +327,22 @@ def _check_signals(log: JointLog, joints: Sequence[str]) -> None:
 def _split(signals: Signals, share: float) -> Run:
     """A log whose last ``share`` of samples is for validation, the first for fitting."""
     samples = sum(part.stop - part.start for part in signals.ranges)
-    remaining = round((1 - share) * samples)  # samples to fit
-    train, held_out = [], []
-    for part in signals.ranges:
+    train, held_out = split_ranges(signals.ranges, round((1 - share) * samples))
+    return Run(signals, train, held_out)
+
+
+def split_ranges(ranges: Sequence[slice], count: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
+    """Ranges of samples, split into the first ``count`` samples and the rest."""
+    remaining = count
+    first, second = [], []
+    for part in ranges:
         split = min(part.start + max(remaining, 0), part.stop)
         remaining -= part.stop - part.start
         if split > part.start:
-            train.append(slice(part.start, split))
+            first.append(slice(part.start, split))
         if part.stop > split:
-            held_out.append(slice(split, part.stop))
-    return Run(signals, tuple(train), tuple(held_out))
+            second.append(slice(split, part.stop))
+    return tuple(first), tuple(second)
 
 
 def coefficients_of(robot: Robot, config: Config, experiment: Experiment) -> Array:

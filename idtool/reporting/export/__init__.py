@@ -4,14 +4,14 @@ from idtool.reporting.export.base import Export, Part
 from idtool.reporting.export.drake import to_drake
 from idtool.reporting.export.identified import IdentifiedModel, identified_model, read_identified
 from idtool.reporting.export.mujoco import to_mujoco
-from idtool.reporting.export.patch import patched
+from idtool.reporting.export.patch import patch_file
 
 __all__ = [
     "Export",
     "IdentifiedModel",
     "Part",
     "identified_model",
-    "patched",
+    "patch_file",
     "read_identified",
     "to_drake",
     "to_mujoco",

@@ -97,7 +97,7 @@ class _BodyChange:
 
 @dataclass
 class _Plan:
-    """What to write into a file.
+    """New values of a file's joints, bodies and gravity, and the parts it has no place for.
 
     Attributes
     ----------
@@ -168,7 +168,8 @@ class _Plan:
     def _add_change(self, change: ChangeReport) -> None:
         """Write another effect."""
         model = self.identified.model
-        simulator, robot = _form(change, "simulator", model), _form(change, "robot", model)
+        simulator = _forward_effect(change, "simulator", model)
+        robot = _forward_effect(change, "robot", model)
         part = _part(change, _torque_delay(simulator) - _torque_delay(robot))
         links = [body.name for body in model.bodies]
         if change.joint in self.forces:
@@ -203,31 +204,31 @@ class _Plan:
 
 
 @dataclass(frozen=True)
-class _Form:
-    """An effect run forwards: its simulator elements and its mechanism; without the effect there are none."""
+class _ForwardEffect:
+    """Simulator elements and mechanism of an effect; empty on a side that does not have it."""
 
     elements: tuple[SimulatorElement, ...]
     mechanism: Mechanism
     changes_gravity: bool = False
 
 
-def _form(change: ChangeReport, side: Literal["simulator", "robot"], model: RobotModel) -> _Form:
-    """The effect of a change as it is on one side."""
+def _forward_effect(change: ChangeReport, side: Literal["simulator", "robot"], model: RobotModel) -> _ForwardEffect:
+    """The effect of a change, as the simulator or the robot has it."""
     values = {name: getattr(parameter, side) for name, parameter in change.parameters.items()}
     if change.effect not in effect_types() or None in values.values():
-        return _Form((), Mechanism(model))
+        return _ForwardEffect((), Mechanism(model))
     entry = EffectEntry(effect=change.effect, joint=change.joint, link=change.link, parameters=values)
     effect = effect_from_entry(entry, model)
     theta = np.array([c.prior for c in effect.coefficients])
     changed = effect.modify_model(model)
     mechanism = Mechanism(changed)
     effect.add_to_forward_model(theta, mechanism)
-    return _Form(effect.simulator_elements(theta), mechanism, changed is not model)
+    return _ForwardEffect(effect.simulator_elements(theta), mechanism, changed is not model)
 
 
-def _torque_delay(form: _Form) -> float:
+def _torque_delay(effect: _ForwardEffect) -> float:
     """Delay of the torque [s]."""
-    delay = form.mechanism.torque_delay
+    delay = effect.mechanism.torque_delay
     return float(delay[np.argmax(np.abs(delay))])
 
 
@@ -266,7 +267,7 @@ def _value_text(value: object) -> str:
     return four_digits(value) if isinstance(value, float | int) else str(value)
 
 
-def patched(identified: IdentifiedModel, path: Path, changes: Sequence[ChangeReport] | None) -> Export:
+def patch_file(identified: IdentifiedModel, path: Path, changes: Sequence[ChangeReport] | None) -> Export:
     """A copy of a simulator's file with the identified values.
 
     Parameters
@@ -326,20 +327,25 @@ def _write_mjcf(plan: _Plan, path: Path, text: bytes) -> tuple[bytes, list[Part]
     for body_change in plan.bodies:
         name = body_change.body.name
         inertial = bodies[name].first("inertial") if name in bodies else None
-        reason = (
-            _inertial_mismatch(path, inertial, body_change) if inertial else "the file has no inertial of this body"
-        )
-        if inertial is None or reason:
+        if inertial is None:
+            plan.not_carried.append(replace(body_change.part, detail="the file has no inertial of this body"))
+            continue
+        if reason := _inertial_mismatch(path, inertial, body_change):
             plan.not_carried.append(replace(body_change.part, detail=reason))
             continue
-        mass, com, inertia = rounded_inertial(_realizable(plan, body_change))
-        xx, xy, yy, xz, yz, zz = symmetric_entries(inertia)
-        full = _text([xx, yy, zz, xy, xz, yz])
-        new = f'<inertial pos="{_text(com)}" mass="{mass!r}" fullinertia="{full}"/>'
+        mass, new = _mjcf_inertial(_realizable(plan, body_change))
         edits[inertial.start, ""] = Edit(inertial.start, inertial.stop, new.encode())
         detail = f"inertial, mass {inertial.attributes['mass']} → {mass!r}"
         carried.append(replace(body_change.part, detail=detail))
     return apply_edits(text, _merged(edits.values())), carried
+
+
+def _mjcf_inertial(pi: Array) -> tuple[float, str]:
+    """Mass [kg] and MJCF element of a body's inertia."""
+    mass, com, inertia = rounded_inertial(pi)
+    xx, xy, yy, xz, yz, zz = symmetric_entries(inertia)
+    full_inertia = _text([xx, yy, zz, xy, xz, yz])
+    return mass, f'<inertial pos="{_text(com)}" mass="{mass!r}" fullinertia="{full_inertia}"/>'
 
 
 def _realizable(plan: _Plan, change: _BodyChange) -> Array:

@@ -54,7 +54,7 @@ def effect_profile_figure(step: StepReport, units: Mapping[str, str]) -> Figure 
 
 
 def _x_title(profile: EffectProfileReport, units: Mapping[str, str]) -> str:
-    """What is on the x axis, with its unit; the joint if it is another one."""
+    """Title of the x axis: the cause with its unit, and its joint if that is another one."""
     tau = units[profile.cause_joint]
     title = AXES[profile.cause].format(q=position_units(units)[profile.cause_joint], tau=tau)
     quantity, bracket, unit = title.partition(" [")

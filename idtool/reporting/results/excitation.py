@@ -118,7 +118,7 @@ class SeparationReport(Record):
 
 
 class DecisionReport(SeparationReport):
-    """How well the trajectory distinguishes two explanations."""
+    """Difference of two explanations on the designed trajectory, beside that on the ordinary one and on the logs."""
 
     a: ExplanationReport = field("The first explanation.")
     b: ExplanationReport = field("The second explanation.")

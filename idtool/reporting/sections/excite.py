@@ -141,7 +141,7 @@ class DecisionSection(Section[ExcitationReport]):
 
 
 def decision_sentence(report: ExcitationReport) -> str:
-    """How much the two explanations differ, and what to do next; empty without any."""
+    """Sentence on the difference of the two explanations, and what to do next; empty without explanations."""
     decision = report.decide
     if decision is None:
         return ""

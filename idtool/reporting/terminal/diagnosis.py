@@ -27,13 +27,13 @@ def show_diagnosis(
     Parameters
     ----------
     terminal
-        Where to.
+        Terminal that is written to.
     report
         The content of diagnosis.json.
     folder, files
-        What was written.
+        Files that were written.
     explain
-        Whether to tell why each rejected candidate lost.
+        True to list the rejected candidates with reasons.
     """
     for fault in sorted(report.data_faults, key=lambda fault: bool(fault.undone)):
         on_joint = f"{fault.joint}: " if fault.joint else ""

@@ -1,0 +1,225 @@
+"""`ExtendedModel`: the configuration's model with the effects that a search has added, fitted to the data.
+
+A controller holds its torque during a sample, so that the log has it half a sample early: every log has a delay of
+about that size. Such a background effect, a delay of all joints shorter than one sample, is fitted with the others but
+not reported: without it, it looks like joint elasticity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.model_selection import SelectionStep, is_reportable
+from idtool.diagnosis.records import Candidate
+from idtool.diagnosis.trial import FAILURES, ParameterKey, fit_trial, with_effects
+from idtool.dynamics.effects import effect_types
+from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.robot.config import EffectEntry
+
+_REFITS = 2  # where columns depend on the values of the coefficients
+_MAX_ITERATIONS = 6  # of the fit of all nonlinear parameters after an effect was added
+
+
+@dataclass(eq=False)
+class AddedEffect:
+    """An effect in the model, with the evidence for it.
+
+    Attributes
+    ----------
+    entry
+        Its configuration entry.
+    selection
+        The round of the search that selected it.
+    chosen
+        The candidate as reported, with its score.
+    errors
+        Standard errors of its nonlinear parameters, by name.
+    """
+
+    entry: EffectEntry
+    selection: SelectionStep
+    chosen: Candidate
+    errors: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ModelState:
+    """A state of an `ExtendedModel`, to which it can return.
+
+    Attributes
+    ----------
+    current, background, added
+        As in `ExtendedModel`; the entries of the background.
+    fitted
+        Entry and standard errors of each added effect.
+    """
+
+    current: LinearizedFit
+    background: tuple[EffectEntry, ...]
+    added: tuple[AddedEffect, ...]
+    fitted: tuple[tuple[EffectEntry, dict[str, float]], ...]
+
+
+class ExtendedModel:
+    """Model with added effects, all fitted together, and with a background effect if the data have one.
+
+    Attributes
+    ----------
+    current
+        Fit of the model.
+    added
+        The effects that were added, in their order.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    """
+
+    def __init__(self, experiment: Experiment, progress: Progress) -> None:
+        self._progress = progress
+        self._configured = experiment.config.effects
+        self._dt = max(run.signals.log.dt for run in experiment.runs)
+        self._background: tuple[EffectEntry, ...] = ()
+        self.added: list[AddedEffect] = []
+        self.current = linearize_fit(experiment, progress)
+        self.try_refit()
+
+    @property
+    def reported(self) -> list[AddedEffect]:
+        """The added effects that a diagnosis names, in their order."""
+        return [effect for effect in self.added if is_reportable(effect.entry.effect)]
+
+    @property
+    def given(self) -> tuple[EffectEntry, ...]:
+        """Effects that were not added: those of the configuration and the background."""
+        return (*self._configured, *self._background)
+
+    def entries(self, count: int) -> list[EffectEntry]:
+        """The configuration's effects and the first ``count`` reported ones, with errors of nonlinear parameters."""
+        return [*self._configured, *(_with_errors(effect) for effect in self.reported[:count])]
+
+    def final_experiment(self) -> Experiment:
+        """The experiment with all effects found."""
+        entries = self.entries(len(self.reported))
+        return with_effects(self.current.experiment, entries, self.current.estimate.theta)
+
+    def set_reversal_margin(self, margin: float) -> None:
+        """Use only rows at least ``margin`` [s] away from reversals."""
+        self.current = linearize_fit(self.current.experiment, self._progress, reversal_margin=margin)
+        self.try_refit()
+
+    def settle(self) -> None:
+        """Fit the present model on all rows, with columns that depend on its coefficients at their final values."""
+        leaves_rows_out = self.current.reversal_margin > 0
+        refits = _REFITS if self.current.experiment.equation.depends_on_parameters else int(leaves_rows_out)
+        for _ in range(refits):
+            entries = self.current.experiment.config.effects
+            experiment = with_effects(self.current.experiment, entries, self.current.theta)
+            self.current = linearize_fit(experiment, self._progress)
+
+    def state(self) -> ModelState:
+        """The present state, for `restore`."""
+        fitted = tuple((effect.entry, effect.errors) for effect in self.added)
+        return ModelState(self.current, self._background, tuple(self.added), fitted)
+
+    def restore(self, state: ModelState) -> None:
+        """Restore an earlier state."""
+        self.current = state.current
+        self._background = state.background
+        self.added = list(state.added)
+        for effect, (entry, errors) in zip(self.added, state.fitted, strict=True):
+            effect.entry = entry
+            effect.errors = errors
+
+    def try_refit(self) -> Exception | None:
+        """Refit with the added effects; if that fails, restore everything and return the failure."""
+        before = self.state()
+        try:
+            self._refit()
+        except FAILURES as failure:
+            self.restore(before)
+            return failure
+        return None
+
+    def _refit(self) -> None:
+        """Refit all effects, their nonlinear parameters together, with new weights of the joints."""
+        entries = [effect.entry for effect in self.added]
+        background = _missing_background([*self._configured, *entries])
+        background = self._background or background if background else ()
+        errors = self._fit_with_background(background, entries)
+        if not all(effect_types()[entry.effect].is_background(entry, self._dt) for entry in self._background):
+            errors = self._fit_with_background((), entries)  # larger than in any log: the search must name it
+        first = len(self.given)
+        fitted_entries = self.current.experiment.config.effects[first:]
+        for i, (effect, entry) in enumerate(zip(self.added, fitted_entries, strict=True)):
+            effect.entry = entry
+            own_errors = {name: error for (k, name), error in errors.items() if k == first + i}
+            effect.errors = own_errors or effect.errors
+
+    def _fit_with_background(
+        self, background: Sequence[EffectEntry], entries: Sequence[EffectEntry]
+    ) -> Mapping[ParameterKey, float]:
+        """Fit with background effects, which become `_background` with their fitted values, and other effects."""
+        errors = self._fit_with([*background, *entries])
+        first = len(self._configured)
+        self._background = self.current.experiment.config.effects[first : first + len(background)]
+        return errors
+
+    def _fit_with(self, entries: Sequence[EffectEntry]) -> Mapping[ParameterKey, float]:
+        """Fit with effects besides those of the configuration; standard errors of their nonlinear parameters."""
+        experiment = with_effects(self.current.experiment, [*self._configured, *entries], self.current.theta)
+        margin = self.current.reversal_margin
+        self.current = linearize_fit(experiment, self._progress, reversal_margin=margin)
+        if not entries:
+            return {}
+        first = len(self._configured)
+        refitted = list(range(first, first + len(entries)))
+        for i, effect in enumerate(self.added, first + len(entries) - len(self.added)):
+            if effect.selection.base.reversal_margin < margin:  # the rows that determine it are excluded
+                refitted.remove(i)
+        trial = fit_trial(self.current, experiment.config.effects, refitted, self._progress, _MAX_ITERATIONS)
+        self.current = trial.linearized
+        return trial.errors
+
+    def without_each(self) -> list[LinearizedFit]:
+        """Models without each of the reported effects, on the rows of the present one."""
+        models = []
+        for effect in self.reported:
+            others = [other.entry for other in self.added if other is not effect]
+            reduced = with_effects(self.current.experiment, [*self.given, *others], self.current.theta)
+            models.append(linearize_fit(reduced, self._progress, self.current))
+        return models
+
+
+def _missing_background(entries: Sequence[EffectEntry]) -> tuple[EffectEntry, ...]:
+    """Background effects, which every log has a little of, that the entries do not contain."""
+    present = {(entry.effect, entry.joint, entry.link) for entry in entries}
+    missing = []
+    for kind in effect_types().values():
+        entry = kind.background_entry()
+        if entry is not None and (entry.effect, entry.joint, entry.link) not in present:
+            missing.append(entry)
+    return tuple(missing)
+
+
+def _with_errors(effect: AddedEffect) -> EffectEntry:
+    """Entry of an effect, its nonlinear parameters with their standard errors."""
+    given = {name: _with_error(effect, name, value) for name, value in effect.entry.parameters.items()}
+    return effect.entry.model_copy(update={"parameters": given})
+
+
+def _with_error(effect: AddedEffect, name: str, value: Any) -> Any:
+    """A nonlinear parameter, or a list of them, with standard errors if they are known."""
+    if isinstance(value, list):
+        return [_with_error(effect, f"{name}.{k}", x) for k, x in enumerate(value)]
+    error = effect.errors.get(name, 0.0)
+    is_known = isinstance(value, float) and np.isfinite(error) and error > 0
+    return {"value": value, "standard_error": error} if is_known else value
