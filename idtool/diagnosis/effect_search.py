@@ -116,7 +116,7 @@ class EffectSearch:
         self._skipped: set[ProbeKey] = set()
         self.model = ExtendedModel(experiment, self.progress)
         self.initial = self.current
-        self._complete = self.model.state()  # after the last effect that was added
+        self._keep_as_complete()
 
     @property
     def current(self) -> LinearizedFit:
@@ -152,7 +152,7 @@ class EffectSearch:
         if selection.winner is None or self._add(selection, selection.winner, is_assumed=True):
             what = f"{effect}:{target or 'any joint'} cannot be added"
             raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
-        self._complete = self.model.state()
+        self._keep_as_complete()
 
     def run(self) -> None:
         """Add effects until none is worthwhile, the time is over, or Ctrl-C; what was found by then remains."""
@@ -172,8 +172,14 @@ class EffectSearch:
     def _stop(self, reason: str) -> None:
         """Return to the last model that was complete."""
         self.stopped = reason
-        self.model.restore(self._complete)
+        state, removed = self._complete
+        self.model.restore(state)
+        self.removed = list(removed)
         self.model.settle()
+
+    def _keep_as_complete(self) -> None:
+        """Keep the present model as the one to return to if the search is stopped."""
+        self._complete = self.model.state(), tuple(self.removed)
 
     def _run(self) -> None:
         """Add effects until none is worthwhile.
@@ -257,7 +263,7 @@ class EffectSearch:
                 continue
             self._skipped.clear()  # beside this effect, another one may be better
             self._prune()
-            self._complete = self.model.state()
+            self._keep_as_complete()
             state = tuple(sorted((effect.chosen.effect, effect.chosen.target) for effect in self.added))
             if state in earlier:
                 break
@@ -327,6 +333,7 @@ class EffectSearch:
             return False
         by = self.added[-1].chosen
         self.removed += [replacement_sentence(effect.chosen, by) for effect in replaced]
+        self._keep_as_complete()
         return True
 
     def _add_in_place_of(self, replaced: Sequence[AddedEffect]) -> bool:
@@ -385,6 +392,7 @@ class EffectSearch:
                 self.model.restore(before)
                 return
             self.removed.append(unproven_sentence(effect.chosen))
+            self._keep_as_complete()
 
     def _prune(self) -> None:
         """Remove effects that are no longer worthwhile, except the newest."""
