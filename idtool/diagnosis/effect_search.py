@@ -91,7 +91,7 @@ class _State:
 
     Attributes
     ----------
-    current, background, added
+    current, background, added, removed
         As in `EffectSearch`.
     fitted
         Entry and standard errors of each added effect.
@@ -100,6 +100,7 @@ class _State:
     current: LinearizedFit
     background: tuple[EffectEntry, ...]
     added: tuple[AddedEffect, ...]
+    removed: tuple[str, ...]
     fitted: tuple[tuple[EffectEntry, dict[str, float]], ...]
 
 
@@ -216,7 +217,10 @@ class EffectSearch:
         """Return to the last model that was complete."""
         self.stopped = reason
         self._restore(self._complete)
-        self._settle()
+        try:
+            self._settle()
+        except FAILURES:  # it remains as the search had it
+            self._restore(self._complete)
 
     def _run(self) -> None:
         """Add effects until none is worthwhile.
@@ -260,8 +264,13 @@ class EffectSearch:
 
     def remove(self, effect: AddedEffect, reason: str) -> None:
         """Remove an effect for a reason, a clause of a sentence."""
+        before = self._state()
         self.added = [other for other in self.added if other is not effect]
-        self._try_refit([other.entry for other in self.added])
+        try:
+            self._try_refit([other.entry for other in self.added])
+        except KeyboardInterrupt:
+            self._restore(before)
+            raise
         self.removed.append(f"{effect.chosen.effect} on {effect.chosen.target} was removed again: {reason}")
 
     def move_to_end(self, effect: AddedEffect) -> None:
@@ -372,13 +381,14 @@ class EffectSearch:
 
     def _state(self) -> _State:
         fitted = tuple((effect.entry, effect.errors) for effect in self.added)
-        return _State(self.current, self._background, tuple(self.added), fitted)
+        return _State(self.current, self._background, tuple(self.added), tuple(self.removed), fitted)
 
     def _restore(self, state: _State) -> None:
         """Restore an earlier state."""
         self.current = state.current
         self._background = state.background
         self.added = list(state.added)
+        self.removed = list(state.removed)
         for effect, (entry, errors) in zip(self.added, state.fitted, strict=True):
             effect.entry = entry
             effect.errors = errors

@@ -1,0 +1,122 @@
+"""Steps of the search after the last effect was added: replacing, removing, leaving out, and the last fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from disturbed import Hidden, experiment_of, silent, torque_on_joint
+
+from idtool.common.exceptions import SolverError
+from idtool.diagnosis.effect_search import EffectSearch
+from idtool.estimation.dataset.experiment import Experiment
+
+Owner = tuple[str, str]
+
+OFFSET = ("torque_offset", "j2")
+SPRING = ("parallel_spring", "j1")
+STIFFNESS = 3.0  # N·m/rad
+
+spring = torque_on_joint(0, lambda t, q, v, tau: STIFFNESS * (q - 0.4))
+offset = torque_on_joint(1, lambda t, q, v, tau: 0.5 + 0 * t)
+dry_friction = torque_on_joint(0, lambda t, q, v, tau: np.sign(v))
+
+
+def together(*hidden: Hidden) -> Hidden:
+    """Sum of several torques."""
+    return lambda t, q, v, tau: np.sum([one(t, q, v, tau) for one in hidden], axis=0)
+
+
+def search_with(experiment: Experiment, assumed: Sequence[Owner], effects: Sequence[str] | None = None) -> EffectSearch:
+    """Search in which some effects are in the model already; by default, it tries only these."""
+    search = EffectSearch(experiment, effects or [effect for effect, _ in assumed], 4, silent)
+    for effect, joint in assumed:
+        search.assume(effect, joint)
+    return search
+
+
+def owners(search: EffectSearch) -> list[Owner]:
+    return [(one.chosen.effect, one.chosen.target) for one in search.added]
+
+
+def entries_in_model(search: EffectSearch) -> list[tuple[str, str | None]]:
+    """Effects of the fitted model, without those that every log has."""
+    given = search.current.experiment.config.effects
+    return [(entry.effect, entry.joint) for entry in given if entry.joint is not None]
+
+
+def test_an_effect_gives_way_to_one_that_explains_more(tmp_path: Path) -> None:
+    """Viscous friction in place of dry friction, and nothing in place of the offset that is there."""
+    experiment = experiment_of(tmp_path, together(dry_friction, offset), rows=slice(8000))
+    effects = ("viscous_friction", "coulomb_friction", "torque_offset")
+    search = search_with(experiment, [OFFSET, ("viscous_friction", "j1")], effects)
+    search._reconsider()
+    right = [OFFSET, ("coulomb_friction", "j1")]
+    assert owners(search) == entries_in_model(search) == right
+    (sentence,) = search.removed
+    assert sentence.startswith("viscous_friction on j1 was replaced by coulomb_friction on j1")
+    search._reconsider()
+    assert owners(search) == right
+    assert len(search.removed) == 1
+
+
+def test_two_effects_give_way_to_one_that_explains_as_much(tmp_path: Path) -> None:
+    """A stop and an offset imitate a spring together."""
+    experiment = experiment_of(tmp_path, spring, rows=slice(8000))
+    effects = ("parallel_spring", "torque_offset", "end_stop")
+    search = search_with(experiment, [("torque_offset", "j1"), ("end_stop", "j1")], effects)
+    assert search._replace_two()
+    assert owners(search) == entries_in_model(search) == [SPRING]
+    assert [sentence.split(",")[0] for sentence in search.removed] == [
+        f"{effect} on j1 was replaced by parallel_spring on j1" for effect in ("torque_offset", "end_stop")
+    ]
+
+
+def test_two_effects_that_are_there_stay(tmp_path: Path) -> None:
+    search = search_with(experiment_of(tmp_path, together(spring, offset), rows=slice(8000)), [SPRING, OFFSET])
+    before = search.current
+    assert not search._replace_one()
+    assert not search._replace_two()
+    assert search.current is before
+    assert owners(search) == [SPRING, OFFSET]
+    assert not search.removed
+
+
+def with_rest(rest: float) -> Hidden:
+    """A large spring on the first joint; on the second a small drag, and something that no effect explains."""
+    small = torque_on_joint(1, lambda t, q, v, tau: 0.012 * v * np.abs(v) + rest * np.sin(9 * t))
+    return together(spring, spring, small)
+
+
+DRAG = ("quadratic_drag", "j2")
+UNPROVEN = "quadratic_drag on j2 was removed again: it explains less than a tenth of what another effect does"
+
+
+@pytest.mark.parametrize("rest", [0.0, 0.4])
+def test_a_small_effect_that_leaves_much_is_removed(tmp_path: Path, rest: float) -> None:
+    search = search_with(experiment_of(tmp_path, with_rest(rest)), [SPRING, DRAG])
+    search._remove_unproven()
+    expected = [SPRING, DRAG] if rest == 0 else [SPRING]
+    assert owners(search) == entries_in_model(search) == expected
+    assert [sentence[: len(UNPROVEN)] for sentence in search.removed] == ([] if rest == 0 else [UNPROVEN])
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt(), SolverError("solver", "as this test wants it")])
+def test_what_an_interrupted_search_returns_to_is_not_said_to_be_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: BaseException
+) -> None:
+    def fail(search: EffectSearch) -> None:
+        assert owners(search) == [SPRING]
+        assert search.removed
+        raise failure
+
+    for step in ("_add_effects", "_reconsider"):
+        monkeypatch.setattr(EffectSearch, step, lambda *arguments: None)
+    monkeypatch.setattr(EffectSearch, "_drop_undetermined_parameters", fail)
+    search = search_with(experiment_of(tmp_path, with_rest(0.4)), [SPRING, DRAG])
+    search.run()
+    assert search.stopped
+    assert owners(search) == entries_in_model(search) == [SPRING, DRAG]
+    assert search.removed == []
