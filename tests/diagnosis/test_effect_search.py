@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,15 @@ import pytest
 from disturbed import Hidden, experiment_of, silent, torque_on_joint
 
 from idtool.common.exceptions import SolverError
-from idtool.diagnosis.effect_search import EffectSearch
+from idtool.diagnosis import diagnose as diagnose_module
+from idtool.diagnosis import selection_round
+from idtool.diagnosis.effect_search import REVERSAL_MARGIN, EffectSearch
+from idtool.diagnosis.error_summary import errors_of_fit
+from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.trial import with_fixed_inertia
 from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.fit import fit
+from idtool.robot.config import EffectEntry
 
 Owner = tuple[str, str]
 
@@ -120,3 +128,81 @@ def test_what_an_interrupted_search_returns_to_is_not_said_to_be_removed(
     assert search.stopped
     assert owners(search) == entries_in_model(search) == [SPRING, DRAG]
     assert search.removed == []
+
+
+def test_the_last_fit_is_of_all_rows(tmp_path: Path) -> None:
+    search = search_with(experiment_of(tmp_path, together(spring, offset), rows=slice(8000)), [SPRING, OFFSET])
+    rows = search.current.row_counts.sum()
+    search._set_reversal_margin(REVERSAL_MARGIN)
+    assert search.current.row_counts.sum() < 0.98 * rows
+    search._settle()
+    assert search.current.reversal_margin == 0
+    assert search.current.row_counts.sum() == rows
+    assert entries_in_model(search) == [SPRING, OFFSET]
+
+
+def test_the_last_fit_has_its_columns_at_its_own_coefficients(tmp_path: Path) -> None:
+    """Friction in proportion to the load, whose column depends on all coefficients."""
+    coefficient = 0.15
+    by_load = torque_on_joint(0, lambda t, q, v, tau: coefficient * np.abs(tau) * np.sign(v))
+    search = search_with(experiment_of(tmp_path, by_load, rows=slice(8000)), [("load_dependent_friction", "j1")])
+    rough = search.current.experiment.equation
+    elsewhere = rough.linearized_at(0.5 * search.current.theta)
+    search.current = linearize_fit(replace(search.current.experiment, equation=elsewhere), silent)
+    assert search.current.theta[-1] > 1.5 * coefficient
+    search._settle()
+    assert search.current.theta[-1] == pytest.approx(coefficient, rel=0.1)
+
+
+DAMPED = EffectEntry(
+    effect="presliding_hysteresis",
+    joint="j1",
+    parameters={"amplitude": 1.0, "displacement": 0.1, "damping": 0.02},
+)
+
+
+@pytest.mark.parametrize(("error", "remains"), [(0.001, True), (0.02, False), (np.inf, False)])
+def test_an_optional_parameter_that_the_data_do_not_tell_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: float, remains: bool
+) -> None:
+    search = search_with(experiment_of(tmp_path, spring, rows=slice(8000)), [SPRING])
+    (added,) = search.added
+    added.entry, added.errors = DAMPED, {"damping": error, "displacement": np.inf}  # that one is not optional
+    refitted: list[Sequence[EffectEntry]] = []
+    monkeypatch.setattr(search, "_try_refit", refitted.append)
+    search._drop_undetermined_parameters()
+    if remains:
+        assert not refitted
+    else:
+        ((entry,),) = refitted
+        assert entry.parameters == {"amplitude": 1.0, "displacement": 0.1}
+
+
+def test_an_effect_that_helps_only_beside_a_larger_one_comes_after_it(tmp_path: Path) -> None:
+    """An offset beside a stop that the training data reach far more often than the held-out data."""
+    stop = torque_on_joint(0, lambda t, q, v, tau: 20 * np.maximum(q - 0.7, 0))
+    small = torque_on_joint(0, lambda t, q, v, tau: 0.15 + 0 * t)
+    experiment = experiment_of(tmp_path, together(stop, small))
+    order = [("torque_offset", "j1"), ("end_stop", "j1")]
+    search = search_with(experiment, order)
+    first = fit(experiment, silent)
+    harmful = diagnose_module._first_harmful(search, errors_of_fit(first))
+    assert harmful is search.added[0]
+    diagnose_module._remove_harmful(search, first)
+    assert owners(search) == order[::-1]
+    assert not search.removed
+    assert diagnose_module._first_harmful(search, errors_of_fit(first)) is None
+
+
+def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An offset that changes its sign with the held-out data, beside one that lasts; no earlier check refuses it.
+
+    The model has no coefficients but theirs.
+    """
+    monkeypatch.setattr(selection_round, "_objection", lambda *arguments: "")
+    changing = torque_on_joint(0, lambda t, q, v, tau: np.where(t < 0.69 * t[-1], 0.5, -0.5))
+    experiment = with_fixed_inertia(experiment_of(tmp_path, together(changing, offset)))
+    search = search_with(experiment, [("torque_offset", "j1"), OFFSET])
+    diagnose_module._remove_harmful(search, fit(experiment, silent))
+    assert owners(search) == entries_in_model(search) == [OFFSET]
+    assert search.removed == ["torque_offset on j1 was removed again: it increases the error on the held-out data"]
