@@ -157,6 +157,12 @@ class Outcome:
         return not remaining
 
     @property
+    def invented(self) -> list[ReportedStep]:
+        """Steps that name what is not there; LuGre's friction has presliding, of any size."""
+        of_friction = {"presliding_hysteresis"} if self.case.friction == "lugre" else set()
+        return [step for step in self.identified if step.key not in self.truth and step.key[0] not in of_friction]
+
+    @property
     def has_right_unknown(self) -> bool:
         """True if ``unknown`` was reported at a joint where an unknown effect is hidden."""
         unknown = {key for key in self.truth if key[0] == "unknown"}
@@ -339,10 +345,12 @@ def print_properties(outcomes: Sequence[Outcome]) -> None:
 
 def _print_clean(outcomes: Sequence[Outcome]) -> None:
     diagnosed = [outcome for outcome in outcomes if not outcome.has_failed]
-    invented = [bool(outcome.identified) for outcome in diagnosed]
+    invented = [bool(outcome.invented) for outcome in diagnosed]
+    presliding = [bool(outcome.identified) for outcome in diagnosed if outcome.case.friction == "lugre"]
     unknown = [any(step.key[0] == "unknown" for step in outcome.steps) for outcome in diagnosed]
     without_gap = [outcome.verdict == "no_disagreement" for outcome in diagnosed]
     print(f"  something invented: {count_text(invented)}")
+    print(f"  presliding of LuGre friction named: {count_text(presliding)}")
     print(f"  called unknown: {count_text(unknown)}")
     print(f"  no_disagreement: {count_text(without_gap)}")
 

@@ -113,15 +113,11 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     search.run()
 
     stages = Stages(interrupted=search.is_interrupted)
-    first = None
-    if options.simulate:
-        first = stages.run("the simulation", lambda: fit(experiment, progress, simulate=True), None)
-    if first is None:
-        first = fit(experiment, progress)
+    first = _fitted(experiment, progress, options.simulate, stages)
     simulate = first.simulation is not None
     if not options.assumed:
-        _remove_harmful(search, first)
-    last = _fit_with_effects(search, first, simulate)
+        stages.run("the order of the steps", lambda: _remove_harmful(search, first), None, is_short=True)
+    last = _fit_with_effects(search, first, simulate, stages)
     none = [Candidate(UNKNOWN, name, None, 0.0, 0.0, 0) for name in experiment.equation.joints]
     structure = stages.run("the search for unknown effects", lambda: _structure(search), none)
     remaining = stages.run("the error of all effects together", lambda: _remaining_errors(search), errors_of_fit(last))
@@ -149,6 +145,14 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         notices=unique([*delay_notices, *_doubt_notices(steps), *_search_notices(search), *skipped]),
         seconds=time.perf_counter() - started,
     )
+
+
+def _fitted(experiment: Experiment, progress: Progress, simulate: bool, stages: Stages) -> Fit:
+    """Fitted model, simulated too if that is wanted and nothing prevents it."""
+    fitted = None
+    if simulate:
+        fitted = stages.run("the simulation", partial(fit, experiment, progress, simulate=True), None)
+    return fitted or fit(experiment, progress)
 
 
 def _maps(model: Fit, progress: Progress) -> ProfilesByJoint:
@@ -189,10 +193,7 @@ def _first_harmful(search: EffectSearch, before: ErrorSummary) -> AddedEffect | 
     """First effect with which the held-out error is larger than without it; None if there is none."""
     for k, effect in enumerate(search.reported):
         experiment = with_effects(search.current.experiment, search.model.entries(k + 1), search.current.theta)
-        try:
-            current = linearize_fit(experiment, search.progress)
-        except FAILURES:
-            return None
+        current = linearize_fit(experiment, search.progress)
         after = evaluate_errors(current.experiment, current.estimate.theta, False, search.progress)
         if after.torque["overall"] > _MAX_INCREASE * before.torque["overall"]:
             return effect
@@ -221,11 +222,11 @@ def _confirmed(
     return confirmed
 
 
-def _fit_with_effects(search: EffectSearch, first: Fit, simulate: bool) -> Fit:
+def _fit_with_effects(search: EffectSearch, first: Fit, simulate: bool, stages: Stages) -> Fit:
     """Fit with all effects found; those with which it fails are removed, the newest first."""
     while search.reported:
         try:
-            return fit(search.model.final_experiment(), search.progress, simulate)
+            return _fitted(search.model.final_experiment(), search.progress, simulate, stages)
         except FAILURES as failure:
             search.remove_failed(search.reported[-1], failure)
     return first
@@ -236,15 +237,16 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool, stages: 
     steps: list[DiagnosisStep] = []
     previous: LinearizedFit | Fit = first
     before = errors_of_fit(first)
+    of_last: tuple[LinearizedFit | Fit, ErrorSummary] = (last, errors_of_fit(last))
     for k, effect in enumerate(search.reported):
-        current = _fit_with_first_effects(search, k + 1, last)
-        after = errors_of_fit(last)
-        if current is not last:
+        current, after = of_last
+        if k + 1 < len(search.reported):
+            fit_first = partial(_fit_with_first_effects, search, k + 1)
+            current, after = stages.run("the error of a step", fit_first, of_last, is_short=True)
+        if simulate and current is not last:
             theta = current.estimate.theta
-            after = evaluate_errors(current.experiment, theta, False, search.progress)
-            if simulate:
-                errors_with_simulation = partial(evaluate_errors, current.experiment, theta, True, search.progress)
-                after = stages.run("the simulation", errors_with_simulation, after)
+            errors_with_simulation = partial(evaluate_errors, current.experiment, theta, True, search.progress)
+            after = stages.run("the simulation", errors_with_simulation, after)
         steps.append(_step(effect, search, previous, current, before, after, stages))
         previous = current
         before = after
@@ -289,15 +291,11 @@ def _step(
     return replace(step, sentence=step_sentence(step, current.experiment.model.units))
 
 
-def _fit_with_first_effects(search: EffectSearch, count: int, last: Fit) -> LinearizedFit | Fit:
-    """Fit with the first effects found; the final fit with all of them, or if that fails."""
-    if count == len(search.reported):
-        return last
+def _fit_with_first_effects(search: EffectSearch, count: int) -> tuple[LinearizedFit | Fit, ErrorSummary]:
+    """Fit with the first effects found, and its errors."""
     experiment = with_effects(search.current.experiment, search.model.entries(count), search.current.theta)
-    try:
-        return linearize_fit(experiment, search.progress)
-    except FAILURES:
-        return last
+    fitted = linearize_fit(experiment, search.progress)
+    return fitted, evaluate_errors(fitted.experiment, fitted.estimate.theta, False, search.progress)
 
 
 def _parameters(effect: AddedEffect, search: EffectSearch) -> tuple[dict[str, object], dict[str, object]]:

@@ -175,7 +175,10 @@ class EffectSearch:
         state, removed = self._complete
         self.model.restore(state)
         self.removed = list(removed)
-        self.model.settle()
+        try:
+            self.model.settle()
+        except FAILURES:  # it remains as the search had it
+            self.model.restore(state)
 
     def _keep_as_complete(self) -> None:
         """Keep the present model as the one to return to if the search is stopped."""
@@ -210,8 +213,13 @@ class EffectSearch:
 
     def remove(self, effect: AddedEffect, reason: str) -> None:
         """Remove an effect for a reason, a clause of a sentence."""
+        before = self.model.state()
         self.model.added = [other for other in self.added if other is not effect]
-        self.model.try_refit()
+        try:
+            self.model.try_refit()
+        except KeyboardInterrupt:
+            self.model.restore(before)
+            raise
         self.removed.append(f"{effect.chosen.effect} on {effect.chosen.target} was removed again: {reason}")
 
     def move_to_end(self, effect: AddedEffect) -> None:

@@ -319,7 +319,7 @@ def _directions(
     free_information = N.T @ P @ N
     size = np.sqrt(np.maximum(free_information.diagonal(), 1e-300))
     values, vectors = np.linalg.eigh(free_information / size[:, None] / size)
-    keep = values > _RANK * values[-1]
+    keep = values > _RANK * values.max(initial=0.0)
     directions = to_theta @ N @ (vectors[:, keep] / size[:, None] / np.sqrt(values[keep]))
 
     rows = np.sqrt(samples) * weighted_rows(equation, reduction, noise)[:, :-1] @ directions

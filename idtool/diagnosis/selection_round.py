@@ -53,6 +53,7 @@ MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter i
 _MIN_GAIN = 1e-4  # of a joint's first squared residual, to which the effects found so far are known
 _NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual counts as zero
 _RANGE_EDGE = 1.02  # of a range's end, within which a value is at the end
+_MAX_STEPS = 5  # of the fit of a candidate whose parameters one step does not determine
 _FINE_VALUES = 7  # between neighbours of the grid
 
 
@@ -216,6 +217,8 @@ def _fit_candidate(base: LinearizedFit, candidate: ScreenedProbe, progress: Prog
         raise ConfigError("effects", "its parameters are out of range")
     entries = (*base.experiment.config.effects, candidate.entry)
     trial = fit_trial(base, entries, [len(entries) - 1], progress)
+    if _undetermined_parameter(trial):  # which may be so only far from the optimum
+        trial = fit_trial(base, trial.entries, [len(entries) - 1], progress, _MAX_STEPS)
     return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
 
 

@@ -32,7 +32,7 @@ class Stages:
         self._interrupted = interrupted
         self.notices: list[Notice] = []
 
-    def run(self, name: str, stage: Callable[[], T], otherwise: T) -> T:
+    def run(self, name: str, stage: Callable[[], T], otherwise: T, is_short: bool = False) -> T:
         """Result of a stage, or the one that stands for it.
 
         Parameters
@@ -43,13 +43,17 @@ class Stages:
             The stage.
         otherwise
             Its result if it fails.
+        is_short
+            True if it is to run even after Ctrl-C.
         """
-        if self._interrupted:
+        if self._interrupted and not is_short:
             self._note(name, "the diagnosis was interrupted")
             return otherwise
         try:
             return stage()
         except KeyboardInterrupt:
+            if self._interrupted:
+                raise
             self._interrupted = True
             self._note(name, "the diagnosis was interrupted")
         except FAILURES as failure:

@@ -14,11 +14,12 @@ import numpy as np
 from scipy import ndimage
 
 from idtool.common.arrays import Array, Indices, Mask
-from idtool.data.column_cache import KeptColumns
+from idtool.data.column_cache import IdentityKey, KeptColumns
 from idtool.data.signals import Batch, Motion, reversals
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NamedEffect
+from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.model import RobotModel
@@ -44,7 +45,7 @@ class LinearModel:
     joints: tuple[str, ...]
     effects: tuple[Effect, ...]
     operating_point: Mapping[tuple[str, str, str, tuple[float, ...]], float] = field(default_factory=dict)
-    _true_motions: dict[int, Motion] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _true_motions: dict[IdentityKey, Motion] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for effect in self.effects:
@@ -166,7 +167,7 @@ class LinearModel:
         """Motion as the effects correct it."""
         if motion.kept_columns is None:
             return self._corrected(motion)
-        key = id(motion)  # which the batch cache keeps alive
+        key = IdentityKey(motion)
         if key not in self._true_motions:
             self._true_motions[key] = self._corrected(motion)
         return self._true_motions[key]
@@ -299,7 +300,8 @@ class LinearModel:
     def compared_torques(self, motion: Motion, theta: Array) -> tuple[Array, Array]:
         """Measured torque and that which the model predicts, as they are compared, unfiltered.
 
-        Both are as the sensors give them, but where a motor saturates, as it reaches the joint.
+        Both are as the sensors give them, but where a motor saturates, as it reaches the joint: what lies between the
+        motor and the log, such as a gain, is then undone too.
 
         Parameters
         ----------
@@ -314,12 +316,27 @@ class LinearModel:
         """
         measured = motion
         predicted = self._predicted_torque(motion, theta)
-        for effect in reversed(self.effects):
-            if effect.compares_true_torque:
+        undone = self._undone_sensors()
+        for effect in self.effects:
+            if effect in undone:
                 measured = effect.correct_motion(measured)
-            else:
+        for effect in reversed(self.effects):
+            if effect not in undone:
                 predicted = effect.apply_sensor(predicted, motion)
         return measured.tau, predicted
+
+    def _undone_sensors(self) -> list[Effect]:
+        """Sensors behind which errors are compared: motors that saturate, and what is nearer to the log on a joint."""
+        joints = set()
+        undone: list[Effect] = []
+        for effect in reversed(self.effects):
+            if not isinstance(effect, TorqueSensorEffect):
+                continue
+            if effect.compares_true_torque:
+                joints.add(effect.joint)
+            if effect.joint in joints:
+                undone.append(effect)
+        return undone
 
     def mechanism(self, model: RobotModel, theta: Array) -> Mechanism:
         """Forward model of the equation.

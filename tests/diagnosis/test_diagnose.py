@@ -187,3 +187,23 @@ def test_what_cannot_be_assumed_is_refused(stribeck: CaseFiles, folder: Path, as
     )
     assert (done.code, done.err.count("\n"), out.exists()) == (2, 1, False)
     assert done.err.startswith("error: --assume")
+
+
+@pytest.mark.parametrize("budget", ["-1", "nan", "soon"])
+def test_what_is_no_time_is_refused(stribeck: CaseFiles, folder: Path, budget: str) -> None:
+    out = folder / "no_time"
+    done = idtool("diagnose", stribeck.urdf, stribeck.log, "--out", out, "--budget", budget)
+    assert (done.code, done.err.count("\n"), out.exists()) == (2, 1, False)
+    assert done.err.startswith("error: ")
+    assert "--budget" in done.err
+
+
+def test_a_tiny_budget_gives_a_whole_result_that_says_so(stribeck: CaseFiles, folder: Path) -> None:
+    out = folder / "tiny"
+    report = diagnosed(stribeck, out, "--no-simulation", "--budget", "0.001")
+    assert {path.name for path in out.iterdir()} == OUT
+    assert named(report) in ([("unknown", "shoulder")], [("unknown", "shoulder"), ("unknown", "elbow")])
+    assert report["verdict"] == "unexplained"
+    (notice,) = [notice for notice in report["notices"] if notice["code"] == "search_interrupted"]
+    assert notice["message"].startswith("the search reached its time limit")
+    assert "the search reached its time limit" in (out / "diagnosis.html").read_text()

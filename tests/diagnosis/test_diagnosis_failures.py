@@ -22,6 +22,7 @@ from idtool.diagnosis import diagnose as module
 from idtool.diagnosis import effect_search, extended_model
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.effect_search import EffectSearch
+from idtool.diagnosis.extended_model import ExtendedModel
 from idtool.diagnosis.records import Diagnosis
 from idtool.dynamics.effects.parallel_spring import ParallelSpring
 from idtool.estimation.dataset.experiment import Experiment
@@ -167,6 +168,9 @@ def test_bodies_that_cannot_be_are_fixed_as_they_stand(tmp_path: Path) -> None:
 
 STAGES = (
     "find_data_faults",
+    "linearize_fit",
+    "evaluate_errors",
+    "_fit_with_first_effects",
     "_structure",
     "_remaining_errors",
     "_noise_floor",
@@ -195,6 +199,58 @@ def test_a_stage_that_fails_is_skipped_and_named(
         assert skipped
         reason = "the diagnosis was interrupted" if isinstance(failure, KeyboardInterrupt) else "its "
         assert f" was skipped: {reason}" in skipped[0]
+
+
+@pytest.mark.parametrize("failure", [ValueError("as this test wants it"), KeyboardInterrupt()])
+@pytest.mark.parametrize("effects", [0, 2])
+def test_effects_stay_where_the_simulation_fails(
+    arm: Experiment, monkeypatch: pytest.MonkeyPatch, effects: int, failure: BaseException
+) -> None:
+    """That of the model without effects, or that of the last one."""
+    inner = module.fit
+
+    def fit(experiment: Experiment, progress: Any, simulate: bool = False) -> Any:
+        if simulate and len(experiment.config.effects) == effects:
+            raise failure
+        return inner(experiment, progress, simulate)
+
+    monkeypatch.setattr(module, "fit", fit)
+    found = diagnose(arm, Options(effects=EFFECTS), silent)
+    assert named(found) == {SPRING, OFFSET}
+    assert found.last.simulation is None
+    assert "the simulation was skipped" in " ".join(sentences(found.notices))
+
+
+def test_a_search_whose_last_fit_fails_keeps_what_it_found(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every time, so that it cannot be made up for."""
+
+    def fail(model: ExtendedModel) -> None:
+        model.current = search.initial
+        raise SolverError("solver", REASON)
+
+    monkeypatch.setattr(ExtendedModel, "settle", fail)
+    search = EffectSearch(arm, EFFECTS, 3, silent)
+    search.run()
+    assert {(one.chosen.effect, one.chosen.target) for one in search.added} == {SPRING, OFFSET}
+    assert REASON in search.stopped
+    assert len(search.current.experiment.config.effects) >= 2
+
+
+def test_a_removal_that_ctrl_c_interrupts_did_not_happen(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    search = EffectSearch(arm, EFFECTS, 3, silent)
+    search.assume(*OFFSET)
+    before = search.current
+
+    def interrupted(model: ExtendedModel) -> None:
+        model.current = search.initial
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ExtendedModel, "_refit", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        search.remove(search.added[0], REASON)
+    assert search.current is before
+    assert [one.chosen.effect for one in search.added] == ["torque_offset"]
+    assert not search.removed
 
 
 @pytest.mark.parametrize("calls", [1, 3, 6, 10])

@@ -13,7 +13,9 @@ from prescribed_motions import Log, prescribed_motion, silent, sines, with_torqu
 from scipy.integrate import cumulative_trapezoid
 from spatial_arm import RATE, experiment, in_band, written
 
+from idtool.diagnosis.diagnose import _reported_floor
 from idtool.diagnosis.noise_floor import NoiseFloor, estimate_noise_floor
+from idtool.diagnosis.records import ErrorSummary
 
 Array = NDArray[np.float64]
 
@@ -114,3 +116,30 @@ def test_a_short_log_has_its_residual_for_a_floor(tmp_path: Path, log: Log) -> N
     np.testing.assert_array_equal(found.rms, found.residual)
     np.testing.assert_array_equal(found.noise, found.residual)
     np.testing.assert_array_equal(found.slow_power_ratio, 1)
+
+
+def test_noise_that_falls_with_the_frequency_counts_up_to_a_limit() -> None:
+    """Only on joints without structure: what rest adds stays, and the noise becomes all of the residual."""
+    rms, noise, residual = np.full(4, 0.3), np.full(4, 0.2), np.full(4, 0.5)
+    floor = NoiseFloor(rms, noise, residual, np.array([1.0, 14.9, 15.1, 14.9]))
+    found = floor.with_coloured_noise(np.array([True, True, True, False]))
+    np.testing.assert_allclose(found.noise, [0.5, 0.5, 0.2, 0.2])
+    np.testing.assert_allclose(found.rms, [np.sqrt(0.3**2 - 0.2**2 + 0.5**2)] * 2 + [0.3] * 2)
+    np.testing.assert_array_equal(found.residual, residual)
+
+
+def test_what_is_known_to_be_structure_is_no_noise() -> None:
+    floor = NoiseFloor(np.full(3, 0.3), np.full(3, 0.2), np.full(3, 0.25), np.ones(3))
+    found = floor.without_structure(np.array([0.0, 0.75, 1.0]))
+    np.testing.assert_allclose(found.noise, [0.2, 0.125, 0.0])
+    np.testing.assert_allclose(found.rms, np.sqrt(0.3**2 - 0.2**2 + np.square([0.2, 0.125, 0.0])))
+
+
+def test_the_reported_floor_counts_what_is_only_fitted_along() -> None:
+    """A model without such an effect cannot go below what the effect explains; a joint where it explains none can."""
+    floor = NoiseFloor(np.array([0.3, 0.4]), np.zeros(2), np.zeros(2), np.ones(2))
+    remaining = ErrorSummary({}, {"a": 0.35, "b": 0.5, "overall": 0.4}, None)
+    after = ErrorSummary({}, {"a": 0.45, "b": 0.49, "overall": 0.5}, None)
+    found = _reported_floor(floor, remaining, after)
+    expected = np.sqrt(0.3**2 + 0.45**2 - 0.35**2)
+    assert found == pytest.approx({"a": expected, "b": 0.4, "overall": np.sqrt((expected**2 + 0.4**2) / 2)})

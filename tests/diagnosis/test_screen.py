@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from prescribed_motions import Stacked, prescribed_motion, silent, stacked, with_noise, with_torque
 from spatial_arm import experiment, written
 
+from idtool.data.column_cache import ColumnCache
 from idtool.data.signals import Motion
 from idtool.diagnosis import screen
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
@@ -26,6 +28,7 @@ from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe, ProbeColumns
 from idtool.dynamics.linearized_model import LinearizedModel
+from idtool.estimation.dataset import batch_cache
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.experiment import prepare
 from idtool.robot.config import EffectEntry, parse_config
@@ -261,11 +264,49 @@ def test_columns_that_are_kept_for_other_models_change_no_result(base: Linearize
             assert_same(a, b, rtol=1e-6)
 
 
-def test_little_memory_changes_no_result(base: LinearizedFit) -> None:
-    small = replace(base.experiment, cache=BatchCache(max_bytes=1))
-    kept = screen_probes(linearize_fit(small, silent), probes(base), silent)
-    for a, b in zip(kept, screen_probes(base, probes(base), silent), strict=True):
-        assert_same(a, b)
+@pytest.mark.parametrize(("batches", "columns"), [(1, 1 << 30), (1 << 30, 1), (1 << 30, 1 << 20), (1 << 30, 1 << 30)])
+def test_little_memory_changes_no_result(
+    base: LinearizedFit, monkeypatch: pytest.MonkeyPatch, batches: int, columns: int
+) -> None:
+    """None for batches, none for columns, or for a few columns."""
+    monkeypatch.setattr(batch_cache, "ColumnCache", partial(ColumnCache, max_bytes=columns))
+    small = replace(base.experiment, cache=BatchCache(max_bytes=batches))
+    for _ in range(2):  # the second time, what there was memory for is there
+        fitted = linearize_fit(small, silent)
+        np.testing.assert_allclose(fitted.theta, base.theta, rtol=1e-12)
+        kept = screen_probes(fitted, probes(base), silent)
+        for a, b in zip(kept, screen_probes(base, probes(base), silent), strict=True):
+            assert_same(a, b)
+
+
+def test_batches_for_which_there_is_no_memory_are_read_again(base: LinearizedFit) -> None:
+    """Of two parts of a log, one fits; one that is left in the middle is read anew."""
+    run = base.experiment.runs[0]
+    (part,) = run.train
+    middle = part.start + 2 * (part.stop - part.start) // 3
+    large, small = slice(part.start, middle), slice(middle, part.stop)
+    cache = BatchCache(max_bytes=8 * 5 * (middle - part.start) * len(base.experiment.equation.joints))
+    next(cache.batches(run.signals, [large]))
+    first = [list(cache.batches(run.signals, [part])) for part in (large, small)]
+    again = [list(cache.batches(run.signals, [part])) for part in (large, small)]
+    assert [a is b for a, b in zip(first[0], again[0], strict=True)] == [True] * len(first[0])
+    assert not any(a is b for a, b in zip(first[1], again[1], strict=True))
+    for a, b in zip(first[1], again[1], strict=True):
+        np.testing.assert_array_equal(a.motion.q, b.motion.q)
+
+
+def test_a_corrected_motion_is_never_that_of_another_motion(base: LinearizedFit) -> None:
+    """A batch that is left in the middle of a log is freed, and its place in memory goes to another one."""
+    late = EffectEntry(effect="time_delay", parameters={"delay": LATE})
+    equation = with_effects(base.experiment, [late]).equation
+    run = base.experiment.runs[0]
+    for k in range(50):
+        batch = next(BatchCache().batches(run.signals, run.train))
+        motion = replace(batch.motion, tau=batch.motion.tau + k)
+        del batch
+        expected = replace(motion, kept_columns=None)
+        np.testing.assert_array_equal(equation.true_motion(motion).tau, equation.true_motion(expected).tau)
+        del motion, expected
 
 
 @pytest.mark.parametrize("effect", sorted(effect_types()))

@@ -249,6 +249,7 @@ def test_every_command_takes_the_entries_and_the_model_keeps_them(tmp_path: Path
         on_link("payload", "tool", **{**LOAD, "mass": spread, "com": [0.05, {"value": -0.02}, 0.1]}),
         on_link("external_contact", "flange", windows=WINDOWS, wrench=WRENCH),
         on_link("external_contact", "flange", windows=[[0.1, 0.2]], wrench=WRENCH),
+        on_link("external_contact", "tool", windows=WINDOWS, wrench=WRENCH, point=POINT, profile=PROFILE, log="b.csv"),
         on_link("gravity_tilt", None, gravity=TILTED),
     ]
     urdf, csv = written(tmp_path, recorded(spec_of().compile(), 0.6))

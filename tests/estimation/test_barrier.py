@@ -14,7 +14,7 @@ from synthetic import bounds, synthetic
 
 from idtool.common.exceptions import SolverError
 from idtool.estimation.dataset.reduction import empty
-from idtool.estimation.problem.barrier import Barrier
+from idtool.estimation.problem.barrier import Barrier, _newton
 from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.config import Regularization
@@ -104,6 +104,17 @@ def test_what_is_known_exactly_holds_exactly(stated: Stated, rng: np.random.Gene
     inside(problem, barrier.x)
     best = half_cost(problem, solve(problem)[0])
     assert half_cost(problem, barrier.x) - best < 1.01 * GAP + 1e-6 * best
+
+
+def test_where_rounding_leaves_nothing_there_is_no_step() -> None:
+    """Neither of the function, nor of the equations: no error of LAPACK's."""
+    one = np.array([[1.0, 0.0]])
+    zero = np.zeros(1)
+    step = _newton(np.eye(2), np.ones(2), one, zero)
+    assert step is not None
+    np.testing.assert_allclose(step, [0, -1], atol=1e-15)
+    assert _newton(np.array([[1.0, 1.0], [1.0, 1.0]]), np.ones(2), one, zero) is None
+    assert _newton(np.eye(2), np.ones(2), 1e-200 * one, zero) is None
 
 
 def test_what_cannot_be_is_refused(stated: Stated) -> None:

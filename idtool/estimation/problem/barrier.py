@@ -277,12 +277,12 @@ def _newton(H: Array, gradient: Array, E: Array, residual: Array) -> Array | Non
     size = 1 / np.sqrt(H.diagonal())
     try:
         factor = cho_factor(H * size[:, None] * size, check_finite=False)
+        step = -size * cho_solve(factor, size * gradient, check_finite=False)
+        if len(E):
+            across = size[:, None] * cho_solve(factor, size[:, None] * E.T, check_finite=False)
+            step -= across @ np.linalg.solve(E @ across, E @ step + residual)
     except np.linalg.LinAlgError:
         return None
-    step = -size * cho_solve(factor, size * gradient, check_finite=False)
-    if len(E):
-        across = size[:, None] * cho_solve(factor, size[:, None] * E.T, check_finite=False)
-        step -= across @ np.linalg.solve(E @ across, E @ step + residual)
     return np.asarray(step)
 
 

@@ -354,7 +354,7 @@ def _triangle(H: Array) -> Array:
     """R with Rᵀ R = Hᵀ H, columns of norm one: by Cholesky's method where that keeps enough digits, else by QR."""
     with suppress(np.linalg.LinAlgError):
         R = _transposed(np.linalg.cholesky(H.T @ H))
-        if R.diagonal().min() > _LEAST_PIVOT:
+        if R.diagonal().min(initial=np.inf) > _LEAST_PIVOT:
             return R
     return np.asarray(np.linalg.qr(H, mode="r"))
 

@@ -1,0 +1,207 @@
+"""Steps of the search after the last effect was added: replacing, removing, leaving out, and the last fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from disturbed import Hidden, experiment_of, silent, torque_on_joint
+
+from idtool.common.exceptions import SolverError
+from idtool.diagnosis import diagnose as diagnose_module
+from idtool.diagnosis import selection_round
+from idtool.diagnosis.effect_search import REVERSAL_MARGIN, EffectSearch
+from idtool.diagnosis.error_summary import errors_of_fit
+from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.trial import with_fixed_inertia
+from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.fit import fit
+from idtool.robot.config import EffectEntry
+
+Owner = tuple[str, str]
+
+OFFSET = ("torque_offset", "j2")
+SPRING = ("parallel_spring", "j1")
+STIFFNESS = 3.0  # N·m/rad
+
+spring = torque_on_joint(0, lambda t, q, v, tau: STIFFNESS * (q - 0.4))
+offset = torque_on_joint(1, lambda t, q, v, tau: 0.5 + 0 * t)
+dry_friction = torque_on_joint(0, lambda t, q, v, tau: np.sign(v))
+
+
+def together(*hidden: Hidden) -> Hidden:
+    """Sum of several torques."""
+    return lambda t, q, v, tau: np.sum([one(t, q, v, tau) for one in hidden], axis=0)
+
+
+def search_with(experiment: Experiment, assumed: Sequence[Owner], effects: Sequence[str] | None = None) -> EffectSearch:
+    """Search in which some effects are in the model already; by default, it tries only these."""
+    search = EffectSearch(experiment, effects or [effect for effect, _ in assumed], 4, silent)
+    for effect, joint in assumed:
+        search.assume(effect, joint)
+    return search
+
+
+def owners(search: EffectSearch) -> list[Owner]:
+    return [(one.chosen.effect, one.chosen.target) for one in search.added]
+
+
+def entries_in_model(search: EffectSearch) -> list[tuple[str, str | None]]:
+    """Effects of the fitted model, without those that every log has."""
+    given = search.current.experiment.config.effects
+    return [(entry.effect, entry.joint) for entry in given if entry.joint is not None]
+
+
+def test_an_effect_gives_way_to_one_that_explains_more(tmp_path: Path) -> None:
+    """Viscous friction in place of dry friction, and nothing in place of the offset that is there."""
+    experiment = experiment_of(tmp_path, together(dry_friction, offset), rows=slice(8000))
+    effects = ("viscous_friction", "coulomb_friction", "torque_offset")
+    search = search_with(experiment, [OFFSET, ("viscous_friction", "j1")], effects)
+    search._replace_effects()
+    right = [OFFSET, ("coulomb_friction", "j1")]
+    assert owners(search) == entries_in_model(search) == right
+    (sentence,) = search.removed
+    assert sentence.startswith("viscous_friction on j1 was replaced by coulomb_friction on j1")
+    search._replace_effects()
+    assert owners(search) == right
+    assert len(search.removed) == 1
+
+
+def test_two_effects_give_way_to_one_that_explains_as_much(tmp_path: Path) -> None:
+    """A stop and an offset imitate a spring together."""
+    experiment = experiment_of(tmp_path, spring, rows=slice(8000))
+    effects = ("parallel_spring", "torque_offset", "end_stop")
+    search = search_with(experiment, [("torque_offset", "j1"), ("end_stop", "j1")], effects)
+    assert search._replace_two()
+    assert owners(search) == entries_in_model(search) == [SPRING]
+    assert [sentence.split(",")[0] for sentence in search.removed] == [
+        f"{effect} on j1 was replaced by parallel_spring on j1" for effect in ("torque_offset", "end_stop")
+    ]
+
+
+def test_two_effects_that_are_there_stay(tmp_path: Path) -> None:
+    search = search_with(experiment_of(tmp_path, together(spring, offset), rows=slice(8000)), [SPRING, OFFSET])
+    before = search.current
+    assert not search._replace_one()
+    assert not search._replace_two()
+    assert search.current is before
+    assert owners(search) == [SPRING, OFFSET]
+    assert not search.removed
+
+
+def with_rest(rest: float) -> Hidden:
+    """A large spring on the first joint; on the second a small drag, and something that no effect explains."""
+    small = torque_on_joint(1, lambda t, q, v, tau: 0.012 * v * np.abs(v) + rest * np.sin(9 * t))
+    return together(spring, spring, small)
+
+
+DRAG = ("quadratic_drag", "j2")
+UNPROVEN = "quadratic_drag on j2 was removed again: it explains less than a tenth of what another effect does"
+
+
+@pytest.mark.parametrize("rest", [0.0, 0.4])
+def test_a_small_effect_that_leaves_much_is_removed(tmp_path: Path, rest: float) -> None:
+    search = search_with(experiment_of(tmp_path, with_rest(rest)), [SPRING, DRAG])
+    search._remove_unproven()
+    expected = [SPRING, DRAG] if rest == 0 else [SPRING]
+    assert owners(search) == entries_in_model(search) == expected
+    assert [sentence[: len(UNPROVEN)] for sentence in search.removed] == ([] if rest == 0 else [UNPROVEN])
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt(), SolverError("solver", "as this test wants it")])
+@pytest.mark.parametrize(("stage", "kept"), [("_keep_as_complete", 2), ("_drop_undetermined_parameters", 1)])
+def test_what_an_interrupted_search_returns_to_is_not_said_to_be_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, kept: int, failure: BaseException
+) -> None:
+    """Before the model without the small effect is kept as complete, and after it."""
+
+    def fail(search: EffectSearch) -> None:
+        assert owners(search) == [SPRING]
+        assert search.removed
+        raise failure
+
+    search = search_with(experiment_of(tmp_path, with_rest(0.4)), [SPRING, DRAG])
+    for step in ("_add_effects", "_replace_effects"):
+        monkeypatch.setattr(EffectSearch, step, lambda *arguments: None)
+    monkeypatch.setattr(EffectSearch, stage, fail)
+    search.run()
+    assert search.stopped
+    assert owners(search) == entries_in_model(search) == [SPRING, DRAG][:kept]
+    assert len(search.removed) == 2 - kept
+
+
+def test_the_last_fit_is_of_all_rows(tmp_path: Path) -> None:
+    search = search_with(experiment_of(tmp_path, together(spring, offset), rows=slice(8000)), [SPRING, OFFSET])
+    rows = search.current.row_counts.sum()
+    search.model.set_reversal_margin(REVERSAL_MARGIN)
+    assert search.current.row_counts.sum() < 0.98 * rows
+    search.model.settle()
+    assert search.current.reversal_margin == 0
+    assert search.current.row_counts.sum() == rows
+    assert entries_in_model(search) == [SPRING, OFFSET]
+
+
+def test_the_last_fit_has_its_columns_at_its_own_coefficients(tmp_path: Path) -> None:
+    """Friction in proportion to the load, whose column depends on all coefficients."""
+    coefficient = 0.15
+    by_load = torque_on_joint(0, lambda t, q, v, tau: coefficient * np.abs(tau) * np.sign(v))
+    search = search_with(experiment_of(tmp_path, by_load, rows=slice(8000)), [("load_dependent_friction", "j1")])
+    rough = search.current.experiment.equation
+    elsewhere = rough.linearized_at(0.5 * search.current.theta)
+    search.model.current = linearize_fit(replace(search.current.experiment, equation=elsewhere), silent)
+    assert search.current.theta[-1] > 1.5 * coefficient
+    search.model.settle()
+    assert search.current.theta[-1] == pytest.approx(coefficient, rel=0.1)
+
+
+DAMPED = EffectEntry(
+    effect="presliding_hysteresis",
+    joint="j1",
+    parameters={"amplitude": 1.0, "displacement": 0.1, "damping": 0.02},
+)
+
+
+@pytest.mark.parametrize(("error", "remains"), [(0.001, True), (0.02, False), (np.inf, False)])
+def test_an_optional_parameter_that_the_data_do_not_tell_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: float, remains: bool
+) -> None:
+    search = search_with(experiment_of(tmp_path, spring, rows=slice(8000)), [SPRING])
+    (added,) = search.added
+    added.entry, added.errors = DAMPED, {"damping": error, "displacement": np.inf}  # that one is not optional
+    monkeypatch.setattr(search.model, "try_refit", lambda: None)
+    search._drop_undetermined_parameters()
+    expected = DAMPED.parameters if remains else {"amplitude": 1.0, "displacement": 0.1}
+    assert added.entry.parameters == expected
+
+
+def test_an_effect_that_helps_only_beside_a_larger_one_comes_after_it(tmp_path: Path) -> None:
+    """An offset beside a stop that the training data reach far more often than the held-out data."""
+    stop = torque_on_joint(0, lambda t, q, v, tau: 20 * np.maximum(q - 0.7, 0))
+    small = torque_on_joint(0, lambda t, q, v, tau: 0.15 + 0 * t)
+    experiment = experiment_of(tmp_path, together(stop, small))
+    order = [("torque_offset", "j1"), ("end_stop", "j1")]
+    search = search_with(experiment, order)
+    first = fit(experiment, silent)
+    harmful = diagnose_module._first_harmful(search, errors_of_fit(first))
+    assert harmful is search.added[0]
+    diagnose_module._remove_harmful(search, first)
+    assert owners(search) == order[::-1]
+    assert not search.removed
+    assert diagnose_module._first_harmful(search, errors_of_fit(first)) is None
+
+
+def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An offset that changes its sign with the held-out data, beside one that lasts; no earlier check refuses it.
+
+    The model has no coefficients but theirs.
+    """
+    monkeypatch.setattr(selection_round, "_objection", lambda *arguments: "")
+    changing = torque_on_joint(0, lambda t, q, v, tau: np.where(t < 0.69 * t[-1], 0.5, -0.5))
+    experiment = with_fixed_inertia(experiment_of(tmp_path, together(changing, offset)))
+    search = search_with(experiment, [("torque_offset", "j1"), OFFSET])
+    diagnose_module._remove_harmful(search, fit(experiment, silent))
+    assert owners(search) == entries_in_model(search) == [OFFSET]
+    assert search.removed == ["torque_offset on j1 was removed again: it increases the error on the held-out data"]
