@@ -45,6 +45,7 @@ from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.fit import Fit, fit
+from idtool.robot.config import EffectEntry
 
 _STRUCTURED_SHARE = 0.1  # of a joint's squared residual, explained by a generic function: it has structure
 _NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual does not matter
@@ -175,30 +176,58 @@ def _residual_as_floor(errors: ErrorSummary) -> NoiseFloor:
 def _remove_harmful(search: EffectSearch, first: Fit) -> None:
     """Order the effects so that each lowers the held-out error, and remove those that lower it in no place.
 
-    Before the largest effect is in the model, a smaller one that is right may increase the error.
+    Before the largest effect is in the model, a smaller one that is right may increase the error. Effects that lower it
+    only together stay, in any order.
     """
     moves = 0
     while search.reported:
         harmful = _first_harmful(search, errors_of_fit(first))
         if harmful is None:
             return
-        if harmful is search.reported[-1] or moves >= len(search.reported) ** 2:
-            search.remove(harmful, "it increases the error on the held-out data")
-        else:
+        count = len(search.reported)
+        if harmful is not search.reported[-1] and moves < count**2:
             search.move_to_end(harmful)
             moves += 1
+            continue
+        if moves >= count**2:
+            harmful = _harmful_in_the_end(search)
+            if harmful is None:
+                return
+        search.remove(harmful, "it increases the error on the held-out data")
+        moves = 0
 
 
 def _first_harmful(search: EffectSearch, before: ErrorSummary) -> AddedEffect | None:
     """First effect with which the held-out error is larger than without it; None if there is none."""
+    error_before = before.torque["overall"]
     for k, effect in enumerate(search.reported):
-        experiment = with_effects(search.current.experiment, search.model.entries(k + 1), search.current.theta)
-        current = linearize_fit(experiment, search.progress)
-        after = evaluate_errors(current.experiment, current.estimate.theta, False, search.progress)
-        if after.torque["overall"] > _MAX_INCREASE * before.torque["overall"]:
+        error = _overall_error(search, search.model.entries(k + 1))
+        if error > _MAX_INCREASE * error_before:
             return effect
-        before = after
+        error_before = error
     return None
+
+
+def _harmful_in_the_end(search: EffectSearch) -> AddedEffect | None:
+    """Effect without which the model with all others has the least held-out error; None if that is with it."""
+    entries = search.model.entries(len(search.reported))
+    least_error = _overall_error(search, entries)
+    harmful = None
+    first = len(entries) - len(search.reported)
+    for k, effect in enumerate(search.reported, first):
+        error = _overall_error(search, [*entries[:k], *entries[k + 1 :]])
+        if error < least_error:
+            least_error = error
+            harmful = effect
+    return harmful
+
+
+def _overall_error(search: EffectSearch, entries: Sequence[EffectEntry]) -> float:
+    """Rms torque error of the model with some effects on the held-out data, over all joints [N·m]."""
+    experiment = with_effects(search.current.experiment, entries, search.current.theta)
+    fitted = linearize_fit(experiment, search.progress)
+    errors = evaluate_errors(fitted.experiment, fitted.estimate.theta, False, search.progress)
+    return errors.torque["overall"]
 
 
 def _confirmed(

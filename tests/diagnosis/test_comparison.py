@@ -153,6 +153,7 @@ def test_a_robot_that_is_the_simulator_needs_no_change(pair: Path) -> None:
     assert (pair / "same.xml").read_text() == MJCF
 
 
+@pytest.mark.slow
 def test_changes_that_only_make_up_for_each_other_are_not_asked_for(tmp_path: Path) -> None:
     """The sample leg as its own simulator: the URDF's bodies are wrong, so each log gets effects of its own."""
     logs = (TRAIN, "--against", VALIDATE)

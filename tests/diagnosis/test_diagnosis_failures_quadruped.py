@@ -85,7 +85,8 @@ def search(files: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -
 def again(search: EffectSearch) -> EffectSearch:
     """The search as it ended, which does not run again."""
     other = copy(search)
-    other.added = [replace(effect) for effect in search.added]
+    other.model = copy(search.model)
+    other.model.added = [replace(effect) for effect in search.added]
     other.removed = list(search.removed)
     other.failed = dict(search.failed)
     setattr(other, "run", lambda: None)  # noqa: B010

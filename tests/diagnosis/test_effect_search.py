@@ -16,6 +16,7 @@ from idtool.diagnosis import selection_round
 from idtool.diagnosis.effect_search import REVERSAL_MARGIN, EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
 from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.records import ErrorSummary
 from idtool.diagnosis.trial import with_fixed_inertia
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import fit
@@ -205,3 +206,18 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
     diagnose_module._remove_harmful(search, fit(experiment, silent))
     assert owners(search) == entries_in_model(search) == [OFFSET]
     assert search.removed == ["torque_offset on j1 was removed again: it increases the error on the held-out data"]
+
+
+@pytest.mark.parametrize(("alone", "together", "left"), [(1.1, 0.5, [SPRING, OFFSET]), (1.1, 1.3, [])])
+def test_effects_that_help_only_together_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: float, together: float, left: list[Owner]
+) -> None:
+    """By errors that are given here, by the number of effects in the model."""
+    experiment = experiment_of(tmp_path, spring, rows=slice(4000))
+    search = search_with(experiment, [SPRING, OFFSET])
+    errors = [1.0, alone, together]
+    without = ErrorSummary({"overall": errors[0]}, None, None)
+    monkeypatch.setattr(diagnose_module, "errors_of_fit", lambda fitted: without)
+    monkeypatch.setattr(diagnose_module, "_overall_error", lambda search, entries: errors[len(entries)])
+    diagnose_module._remove_harmful(search, fit(experiment, silent))
+    assert sorted(owners(search)) == sorted(left)
