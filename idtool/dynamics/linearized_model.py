@@ -202,15 +202,27 @@ class LinearizedModel:
         )
 
     def _finite_differences(self, name: str, step: float, torque: Array) -> list[Array]:
-        """Derivatives of the rigid bodies' torque by q, v or a of each joint, shape (nv, n) each."""
+        """Derivatives of the rigid bodies' torque by q, v or a of each joint, shape (nv, n) each.
+
+        All joints' steps are evaluated as one motion, since that of few samples takes little longer than that of one.
+        """
         samples = self._some_samples
-        derivatives = []
-        for joint in range(len(samples.q)):
-            x = getattr(samples, name).copy()
-            x[joint] += step
-            stepped = self._rigid_body_torque(replace(samples, **{name: x}), self._bodies)
-            derivatives.append((stepped - torque) / step)
-        return derivatives
+        nv, n = samples.q.shape
+        motion = replace(
+            samples,
+            t=np.tile(samples.t, nv),
+            q=np.tile(samples.q, nv),
+            v=np.tile(samples.v, nv),
+            a=np.tile(samples.a, nv),
+            tau=np.tile(samples.tau, nv),
+            logged_tau=np.tile(samples.logged_tau, nv),
+        )
+        stepped = getattr(motion, name)
+        for joint in range(nv):
+            stepped[joint, joint * n : (joint + 1) * n] += step
+        torques = self._rigid_body_torque(motion, self._bodies).reshape(nv, nv, n)
+        derivatives = (torques - torque[:, None]) / step
+        return [derivatives[:, joint] for joint in range(nv)]
 
 
 def _columns(effect: Effect, motion: Motion) -> list[Array]:
