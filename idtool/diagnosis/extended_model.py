@@ -190,12 +190,12 @@ class ExtendedModel:
         return trial.errors
 
     def without_each(self) -> list[LinearizedFit]:
-        """Models without each of the reported effects, on the rows of the present one."""
+        """Models without each of the reported effects, on their own rows, in the units of the present one."""
         models = []
         for effect in self.reported:
             others = [other.entry for other in self.added if other is not effect]
             reduced = with_effects(self.current.experiment, [*self.given, *others], self.current.theta)
-            models.append(linearize_fit(reduced, self._progress, self.current))
+            models.append(linearize_fit(reduced, self._progress, self.current, own_rows=True))
         return models
 
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.diagnosis.linearized_fit import LinearizedFit
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.noise_floor import estimate_noise_floor
 from idtool.estimation.dataset.experiment import Progress
 
@@ -27,24 +27,25 @@ def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], prog
     current
         The model with all effects.
     without
-        The models without each of them, on the same rows and in the same units.
+        The models without each of them, on the rows at which their own columns are defined: those of an effect may not
+        be defined just where it acts.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
-    rows = np.maximum(current.row_counts.sum(axis=0), 1.0)
-    unit = np.square(current.noise) / rows
-    explained = np.array([(one.sse - current.sse).sum(axis=0) * unit for one in without])  # (effects, nv) mean squares
-    totals = explained.sum(axis=1)
-    remaining = current.sse.sum(axis=0) * unit
-    theta = current.estimate.theta
-    floor = estimate_noise_floor(current.experiment, theta, progress, current.reversal_margin)
-    above_floor = np.maximum(remaining - np.square(floor.noise), 0.0)
+    floor = estimate_noise_floor(current.experiment, current.estimate.theta, progress, current.reversal_margin)
+    explained = []
+    above_floor = []
+    for reduced in without:
+        complete = linearize_fit(current.experiment, progress, reduced)
+        mean_squares = _mean_squares(complete)
+        explained.append(_mean_squares(reduced) - mean_squares)
+        above_floor.append(np.maximum(mean_squares - np.square(floor.noise), 0.0))
+    totals = np.sum(explained, axis=1)
 
     unproven = []
-    for k, own in enumerate(explained):
-        if totals[k] >= _MIN_SHARE_OF_LARGEST * totals.max():
-            continue
-        if _explained_share(own, above_floor) < _MIN_EXPLAINED:
+    for k in range(len(without)):
+        is_small = totals[k] < _MIN_SHARE_OF_LARGEST * totals.max()
+        if is_small and _explained_share(explained[k], above_floor[k]) < _MIN_EXPLAINED:
             unproven.append(k)
     return min(unproven, key=lambda k: float(totals[k])) if unproven else None
 
@@ -53,3 +54,9 @@ def _explained_share(explained: Array, above_floor: Array) -> float:
     """Share of the residual above the noise floor that an effect explains, on the joint where it explains most."""
     j = int(np.argmax(explained))
     return float(explained[j] / max(explained[j] + above_floor[j], np.finfo(float).tiny))
+
+
+def _mean_squares(fit: LinearizedFit) -> Array:
+    """Mean squared residual of each joint's rows, shape (nv,) [(N·m)² or N²]."""
+    rows = np.maximum(fit.row_counts.sum(axis=0), 1.0)
+    return np.asarray(fit.sse.sum(axis=0) * np.square(fit.noise) / rows)
