@@ -448,7 +448,8 @@ class EffectSearch:
 
 def _information(fit: LinearizedFit) -> Array:
     """Fisher information of the rows on an offset of each joint's torque, shape (nv,)."""
-    return np.asarray(fit.row_counts.sum(axis=0) / np.square(fit.noise))
+    variance = np.maximum(np.square(_rms_residual(fit)), np.finfo(float).tiny)
+    return np.asarray(fit.row_counts.sum(axis=0) / variance)
 
 
 def _rms_residual(fit: LinearizedFit) -> Array:

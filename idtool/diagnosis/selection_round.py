@@ -53,7 +53,7 @@ MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter i
 _MIN_GAIN = 1e-4  # of a joint's first squared residual, to which the effects found so far are known
 _NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual counts as zero
 _RANGE_EDGE = 1.02  # of a range's end, within which a value is at the end
-_MAX_STEPS = 5  # of the fit of a candidate whose parameters one step does not determine
+_MAX_STEPS = 5  # of the fit of a candidate for which one step is not enough
 _FINE_VALUES = 7  # between neighbours of the grid
 
 
@@ -105,6 +105,10 @@ def find_best_effect(
         try:
             finalist = _fit_candidate(base, candidate, progress)
             reason = _objection(finalist, base, initial, summary)
+            neighbours = _movable_on_joint(base, candidate.probe.joint)
+            if reason and neighbours:  # they may have made up for it so far
+                finalist = _fit_candidate(base, candidate, progress, neighbours)
+                reason = _objection(finalist, base, initial, summary)
         except FAILURES as failure:
             failed.append(screened_record(candidate, base, not_fitted_reason(failure)))
             continue
@@ -211,15 +215,39 @@ def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[Scre
                 yield probe.at({**probe.nonlinear_values, name: float(refined)})
 
 
-def _fit_candidate(base: LinearizedFit, candidate: ScreenedProbe, progress: Progress) -> FittedCandidate:
-    """Candidate fitted with the whole model; raises as `fit_trial`, and if there is no such effect."""
+def _fit_candidate(
+    base: LinearizedFit, candidate: ScreenedProbe, progress: Progress, neighbours: Sequence[int] = ()
+) -> FittedCandidate:
+    """Candidate fitted with the whole model; raises as `fit_trial`, and if there is no such effect.
+
+    Parameters
+    ----------
+    base
+        The model.
+    candidate
+        The candidate.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    neighbours
+        Indices of the model's effects whose nonlinear parameters are moved with those of the candidate.
+    """
     if candidate.entry is None:
         raise ConfigError("effects", "its parameters are out of range")
     entries = (*base.experiment.config.effects, candidate.entry)
-    trial = fit_trial(base, entries, [len(entries) - 1], progress)
+    moving = [*neighbours, len(entries) - 1]
+    trial = fit_trial(base, entries, moving, progress, _MAX_STEPS if neighbours else 1)
     if _undetermined_parameter(trial):  # which may be so only far from the optimum
-        trial = fit_trial(base, trial.entries, [len(entries) - 1], progress, _MAX_STEPS)
+        trial = fit_trial(base, trial.entries, moving, progress, _MAX_STEPS)
     return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
+
+
+def _movable_on_joint(base: LinearizedFit, joint: str | None) -> list[int]:
+    """Indices of the model's effects on a joint that have nonlinear parameters to move along a gradient."""
+    movable = []
+    for i, entry in enumerate(base.experiment.config.effects):
+        if joint is not None and entry.joint == joint and effect_types()[entry.effect].gradient_parameters():
+            movable.append(i)
+    return movable
 
 
 def not_fitted_reason(failure: Exception) -> str:
