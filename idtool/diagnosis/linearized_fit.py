@@ -75,8 +75,6 @@ class LinearizedFit:
         Rows of a block of time; the last of a log may have fewer.
     reversal_margin
         Least distance of the rows from reversals, beside the filter's ringing [s].
-    row_equation
-        Equation at whose defined columns the rows are.
     """
 
     experiment: Experiment
@@ -92,7 +90,6 @@ class LinearizedFit:
     rms_torque: Array
     block_length: int
     reversal_margin: float
-    row_equation: LinearModel
 
     @property
     def block_count(self) -> int:
@@ -166,7 +163,7 @@ def linearize_fit(
     if reference is not None:
         reversal_margin = reference.reversal_margin
         if not own_rows:
-            row_equation = reference.row_equation
+            row_equation = reference.experiment.equation
     blocks = _read_blocks(experiment, length, progress, row_equation, reversal_margin)
     equation = experiment.equation
     config = experiment.config
@@ -213,7 +210,6 @@ def linearize_fit(
         rms_torque=rms_torque,
         block_length=length,
         reversal_margin=reversal_margin,
-        row_equation=row_equation,
     )
 
 
