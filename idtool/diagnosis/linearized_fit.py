@@ -75,6 +75,8 @@ class LinearizedFit:
         Rows of a block of time; the last of a log may have fewer.
     reversal_margin
         Least distance of the rows from reversals, beside the filter's ringing [s].
+    row_equation
+        Equation at whose defined columns the rows are.
     """
 
     experiment: Experiment
@@ -90,6 +92,7 @@ class LinearizedFit:
     rms_torque: Array
     block_length: int
     reversal_margin: float
+    row_equation: LinearModel
 
     @property
     def block_count(self) -> int:
@@ -163,7 +166,7 @@ def linearize_fit(
     if reference is not None:
         reversal_margin = reference.reversal_margin
         if not own_rows:
-            row_equation = reference.experiment.equation
+            row_equation = reference.row_equation
     blocks = _read_blocks(experiment, length, progress, row_equation, reversal_margin)
     equation = experiment.equation
     config = experiment.config
@@ -210,6 +213,7 @@ def linearize_fit(
         rms_torque=rms_torque,
         block_length=length,
         reversal_margin=reversal_margin,
+        row_equation=row_equation,
     )
 
 

@@ -300,8 +300,9 @@ def _grid_search(
     grid_step = best * (_GRID[1] / _GRID[0] - 1)
     error = max(max(near_best) - min(near_best), grid_step) / 2
     entries[i] = _with_value(entry, name, best)
-    fitted = linearize_fit(with_effects(current.experiment, entries, current.theta), progress, current)
-    return fitted, error
+    # Where the effect's columns are not defined is part of what it explains.
+    changed = with_effects(current.experiment, entries, current.theta)
+    return linearize_fit(changed, progress, current, own_rows=True), error
 
 
 def _is_positive(effect: str, name: str) -> bool:

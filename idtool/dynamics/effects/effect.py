@@ -124,7 +124,7 @@ class Effect(ABC):
         """
 
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
-        """Samples at which the columns can't be known from the motion: joint index to a mask of shape (N,)."""
+        """Samples at which the columns cannot be known from the true motion: joint index to a mask of shape (N,)."""
         return {}
 
     def modify_model(self, model: RobotModel) -> RobotModel:
