@@ -430,7 +430,12 @@ def _changes(sides: _Sides) -> tuple[list[Change], list[TermKey]]:
 
 
 def _gap_shares(sides: _Sides, significant: Sequence[TermKey]) -> tuple[dict[TermKey, float], dict[TermKey, str]]:
-    """Shares of the gap that significant differences close, and reasons why they need no change, empty if they do."""
+    """Shares of the gap between simulator and robot that significant differences close.
+
+    Returns
+    -------
+    The share of each difference, and the reason why it needs no change in the simulator; empty if it needs one.
+    """
     joints = sides.robot_fit.experiment.equation.joints
     torque_std = np.array([sides.robot_fit.evaluation.torque_std[name] for name in joints])
     weights = 1 / np.maximum(torque_std, 1e-12) ** 2

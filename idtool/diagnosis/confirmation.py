@@ -45,7 +45,8 @@ def estimate_on_parts(
     For each entry, the parts on which its size could be estimated.
     """
     all_entries = current.experiment.config.effects
-    indices = [next(i for i, other in enumerate(all_entries) if other is entry) for entry in entries]
+    positions = {id(entry): i for i, entry in enumerate(all_entries)}
+    indices = [positions[id(entry)] for entry in entries]
     estimates: list[list[PartEstimate]] = [[] for _ in entries]
     for name, part in _parts(current.experiment):
         try:
@@ -61,7 +62,7 @@ def estimate_on_parts(
 
 
 def contradiction(estimates: Sequence[PartEstimate]) -> str:
-    """Two parts on which the size of an effect differs by more than chance, as a clause; empty if there are none."""
+    """Clause on two parts of the data that contradict each other about an effect's size; empty if all agree."""
     for i, first in enumerate(estimates):
         for second in estimates[:i]:
             if not _agree(first, second):
@@ -96,7 +97,12 @@ def _parts(experiment: Experiment) -> list[tuple[str, Experiment]]:
 
 
 def _size(trial: TrialFit, index: int, inflation: float) -> tuple[str, float, float] | None:
-    """Name, value and standard error of the parameter that is an effect's size; None if it has none that is known."""
+    """Size of an effect: name, value and standard error of its first parameter with a known standard error.
+
+    Returns
+    -------
+    None if no parameter has one.
+    """
     linearized = trial.linearized
     entry = trial.entries[index]
     linear = _linear_parameters(linearized, entry, inflation)

@@ -121,7 +121,8 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     last = _fit_with_effects(search, first, simulate, stages)
     none = [Candidate(UNKNOWN, name, None, 0.0, 0.0, 0) for name in experiment.equation.joints]
     structure = stages.run("the search for unknown effects", lambda: _structure(search), none)
-    remaining = stages.run("the error of all effects together", lambda: _remaining_errors(search), errors_of_fit(last))
+    errors_of_last = errors_of_fit(last)
+    remaining = stages.run("the error of all effects together", lambda: _remaining_errors(search), errors_of_last)
     floor = stages.run("the noise floor", lambda: _noise_floor(search, structure), _residual_as_floor(remaining))
     steps = with_doubts(_steps(search, first, last, simulate, stages), experiment.model)
     steps = _confirmed(steps, search, floor, remaining, stages)
@@ -176,8 +177,8 @@ def _residual_as_floor(errors: ErrorSummary) -> NoiseFloor:
 def _remove_harmful(search: EffectSearch, first: Fit) -> None:
     """Order the effects so that each lowers the held-out error, and remove those that lower it in no place.
 
-    Before the largest effect is in the model, a smaller one that is right may increase the error. Effects that lower it
-    only together stay, in any order.
+    A right but small effect may increase the error as long as the largest one is missing. Effects that lower it only
+    together stay, in any order.
     """
     moves = 0
     while search.reported:

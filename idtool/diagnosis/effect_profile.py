@@ -1,4 +1,4 @@
-"""`effect_profile`: residual of a joint against what causes an effect, without and with it, and the effect's torque."""
+"""`effect_profile`: residual of a joint by the cause of an effect, such as the velocity, before and after the step."""
 
 from __future__ import annotations
 
@@ -62,6 +62,9 @@ def effect_profile(
     if effect.follows_direction:
         torques = torques * np.sign(series.v[j])
     values, mean, deviation = _binned_torques(effect.cause, cause, torques, valid)
+    effect_torque = None
+    if _is_function(torques[2, valid], np.interp(cause[valid], values, mean[2])):
+        effect_torque = mean[2]
     return EffectProfile(
         joint=joints[j],
         cause=effect.cause,
@@ -73,7 +76,7 @@ def effect_profile(
         deviation_before=deviation[0],
         mean_after=mean[1],
         deviation_after=deviation[1],
-        effect_torque=mean[2] if _is_function(torques[2, valid], np.interp(cause[valid], values, mean[2])) else None,
+        effect_torque=effect_torque,
     )
 
 
@@ -115,7 +118,12 @@ def _rate(x: Array, series: ResidualSeries) -> Array:
 
 
 def _binned_torques(cause: Cause, values: Array, torques: Array, valid: Mask) -> tuple[Array, Array, Array]:
-    """Mean of the cause in each bin, shape (k,), and mean and standard deviation of the torques, shape (3, k) each."""
+    """Torques in bins of the cause.
+
+    Returns
+    -------
+    Mean of the cause in each of the k bins, shape (k,); mean and standard deviation of the torques, shape (3, k) each.
+    """
     x = values[valid]
     edges = _edges(cause, x)
     _, at, _ = bin_means(x, edges, x)

@@ -71,8 +71,8 @@ class EffectSearch:
     last_round
         The round that found nothing more.
     reversal_joints
-        Joints whose friction does not follow its law near reversals, with their rms residual with and without the rows
-        near them [N·m or N]; these rows are then excluded.
+        Joints whose friction does not follow its law near reversals. Their rms residual with and without the rows near
+        reversals [N·m or N], which are then excluded.
     failed
         Reason why the model could not be fitted with an effect, by effect and target.
     stopped
@@ -113,7 +113,8 @@ class EffectSearch:
         self.last_round: SelectionStep | None = None
         self.reversal_joints: dict[str, tuple[float, float]] = {}
         self.failed: dict[tuple[str, str], str] = {}
-        self._skipped: set[ProbeKey] = set()
+        self._refused: set[ProbeKey] = set()  # candidates with which the present model is worse
+        self._superseded: set[ProbeKey] = set()  # effects that later ones have made unnecessary
         self.model = ExtendedModel(experiment, self.progress)
         self.initial = self.current
         self._keep_as_complete()
@@ -258,8 +259,9 @@ class EffectSearch:
         earlier: set[tuple[tuple[str, str], ...]] = set()
         while len(self.reported) < self._max_effects:
             effects = self._effects if min_share == MIN_SHARE else self._reversal_effects()
+            skipped = self._refused | self._superseded
             selection = find_best_effect(
-                self.current, self.initial, self.progress, effects, self._bursts(), min_share, self._skipped
+                self.current, self.initial, self.progress, effects, self._bursts(), min_share, skipped
             )
             self.last_round = selection
             for candidate in selection.failed:
@@ -267,9 +269,9 @@ class EffectSearch:
             if selection.winner is None:
                 break
             if reason := self._add(selection, selection.winner):
-                self._skip(selection.winner, reason)
+                self._refuse(selection.winner, reason)
                 continue
-            self._skipped.clear()  # beside this effect, another one may be better
+            self._refused.clear()  # beside this effect, another one may be better
             self._prune()
             self._keep_as_complete()
             state = tuple(sorted((effect.chosen.effect, effect.chosen.target) for effect in self.added))
@@ -310,9 +312,9 @@ class EffectSearch:
             return "increases the error on the held-out data when all effects are fitted together"
         return ""
 
-    def _skip(self, candidate: FittedCandidate, reason: str) -> None:
-        """Do not try a candidate again."""
-        self._skipped.add(probe_key(candidate.probe))
+    def _refuse(self, candidate: FittedCandidate, reason: str) -> None:
+        """Do not try a candidate again beside the present effects."""
+        self._refused.add(probe_key(candidate.probe))
         record = fitted_record(candidate, self.current)
         self.failed[record.effect, record.target] = reason
 
@@ -353,7 +355,7 @@ class EffectSearch:
         without = self.current
         try:
             selection = find_best_effect(
-                without, self.initial, self.progress, self._effects, self._bursts(), MIN_SHARE, self._skipped
+                without, self.initial, self.progress, self._effects, self._bursts(), MIN_SHARE, self._refused
             )
         except FAILURES:
             return False
@@ -415,6 +417,8 @@ class EffectSearch:
                 self.added.insert(i, removed)
                 i += 1
                 continue
+            if removed.selection.winner is not None:
+                self._superseded.add(probe_key(removed.selection.winner.probe))
             if is_reportable(removed.chosen.effect):
                 self.removed.append(removal_sentence(removed.chosen, self.added[-1].chosen))
 

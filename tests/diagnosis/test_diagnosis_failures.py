@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import LEG, TRAIN, idtool
+from diagnosis_stages import STAGES
 from disturbed import experiment_of, silent, torque_on_joint
 from numpy.typing import NDArray
 from sentences import sentences
@@ -164,22 +165,6 @@ def test_bodies_that_cannot_be_are_fixed_as_they_stand(tmp_path: Path) -> None:
     shutil.copy(LEG.with_suffix(".yaml"), tmp_path)
     options = ("--inertia", "fixed", "--effects", "torque_offset", "--no-simulation", "--quiet")
     assert idtool("diagnose", urdf, TRAIN, *options, "--out", tmp_path / "out").code == 0
-
-
-STAGES = (
-    "find_data_faults",
-    "linearize_fit",
-    "evaluate_errors",
-    "_fit_with_first_effects",
-    "_structure",
-    "_remaining_errors",
-    "_noise_floor",
-    "localize_residual",
-    "localize_unexplained",
-    "effect_profile",
-    "estimate_on_parts",
-    "residual_maps",
-)
 
 
 @pytest.mark.parametrize("failure", [ValueError("as this test wants it"), np.linalg.LinAlgError(), KeyboardInterrupt()])

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnosis_stages import STAGES
 from resting_quadruped import OFFSET, OFFSET_JOINT, SPRING_JOINT, STIFFNESS, write_quadruped
 
 import idtool
@@ -22,20 +23,6 @@ pytestmark = pytest.mark.slow
 HIDDEN = {("parallel_spring", SPRING_JOINT), ("torque_offset", OFFSET_JOINT)}
 OPTIONS: dict[str, Any] = {"inertia": "fixed", "effects": ["parallel_spring", "torque_offset"], "simulation": False}
 FILES = {"diagnosis.json", "diagnosis.html", "model.yaml", "identified.urdf"}
-STAGES = (
-    "find_data_faults",
-    "linearize_fit",
-    "evaluate_errors",
-    "_fit_with_first_effects",
-    "_structure",
-    "_remaining_errors",
-    "_noise_floor",
-    "localize_residual",
-    "localize_unexplained",
-    "effect_profile",
-    "estimate_on_parts",
-    "residual_maps",
-)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,16 @@
+"""Stages of a diagnosis beside the search, for tests in which one of them fails: functions of `diagnosis.diagnose`."""
+
+STAGES = (
+    "find_data_faults",
+    "linearize_fit",
+    "evaluate_errors",
+    "_fit_with_first_effects",
+    "_structure",
+    "_remaining_errors",
+    "_noise_floor",
+    "localize_residual",
+    "localize_unexplained",
+    "effect_profile",
+    "estimate_on_parts",
+    "residual_maps",
+)
