@@ -19,6 +19,7 @@ _OPTION = "--against"
 _MIN_OVERLAP = 0.5  # of the longer log's duration
 _MAX_DELAY = 0.1  # s: a smaller offset is the robot's delay, not that of its clock
 _MAX_GRID = 1 << 18  # samples from which an offset is estimated
+_MAX_DIFFERENCE = 0.7  # of the robot's motion, between two logs of one command; unrelated motions differ by 1.4
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ class LogPair:
     torque, position
         RMS difference of the two by joint, as logged, and ``overall`` [N·m or N; rad or m]; torque is None if one of
         the logs has none.
+    motion
+        RMS deviation of the robot's position from its mean by joint, and ``overall`` [rad or m].
     """
 
     measured: Path
@@ -44,6 +47,12 @@ class LogPair:
     seconds: float
     torque: Mapping[str, float] | None
     position: Mapping[str, float]
+    motion: Mapping[str, float]
+
+    @property
+    def moves_alike(self) -> bool:
+        """True if the two may be motions under the same commands."""
+        return self.position["overall"] <= _MAX_DIFFERENCE * self.motion["overall"]
 
 
 def paired_paths(logs: Sequence[Path], against: Sequence[Path]) -> list[Path]:
@@ -132,7 +141,15 @@ def align(measured: JointLog, simulated: JointLog, joints: Sequence[str]) -> Log
     position = _differences(measured, simulated, joints, "q", offset, t, inside)
     if position is None:
         raise AssertionError  # every log has positions
-    return LogPair(measured.path, simulated.path, offset, end - start, torque, position)
+    return LogPair(
+        measured=measured.path,
+        simulated=simulated.path,
+        offset=offset,
+        seconds=end - start,
+        torque=torque,
+        position=position,
+        motion=_motion(measured, joints, inside),
+    )
 
 
 def _duration(log: JointLog) -> float:
@@ -162,8 +179,19 @@ def _differences(
         x = measured.signals[signal][inside, measured.joints.index(name)]
         difference = x - _sampled(simulated, signal, name, t[inside] - offset)
         squares.append(float(np.nanmean(np.square(difference))))
-    rms = dict(zip(joints, np.sqrt(squares).tolist(), strict=True))
-    return {**rms, "overall": float(np.sqrt(np.mean(squares)))}
+    return _rms_by_joint(joints, squares)
+
+
+def _motion(log: JointLog, joints: Sequence[str], inside: Mask) -> dict[str, float]:
+    """RMS deviation of the position from its mean by joint and ``overall`` [rad or m]."""
+    variances = [float(np.nanvar(log.signals["q"][inside, log.joints.index(name)])) for name in joints]
+    return _rms_by_joint(joints, variances)
+
+
+def _rms_by_joint(joints: Sequence[str], mean_squares: Sequence[float]) -> dict[str, float]:
+    """Square roots of mean squares by joint, and ``overall``."""
+    rms = dict(zip(joints, np.sqrt(mean_squares).tolist(), strict=True))
+    return {**rms, "overall": float(np.sqrt(np.mean(mean_squares)))}
 
 
 def _sampled(log: JointLog, signal: str, joint: str, t: Array) -> Array:

@@ -193,7 +193,7 @@ def compare(measured: Experiment, simulated: Experiment, options: Options, progr
         unchanged=tuple(change for change in changes if change.reason),
         before=sides.gap_level((), options.simulate),
         after=sides.gap_level(made, options.simulate),
-        notices=tuple(_notices(simulator)),
+        notices=(*_pair_notices(pairs), *_simulator_notices(simulator)),
     )
 
 
@@ -558,7 +558,18 @@ def _mass_properties(pi: Array) -> dict[str, Any]:
     return {"mass": float(mass), "com": com.tolist(), "inertia_com": symmetric_entries(inertia).tolist()}
 
 
-def _notices(simulator: Diagnosis) -> Iterator[Notice]:
+def _pair_notices(pairs: Sequence[LogPair]) -> Iterator[Notice]:
+    """Notices about pairs of logs that can hardly be of the same commands."""
+    for pair in pairs:
+        if not pair.moves_alike:
+            message = (
+                f"{pair.measured.name} and {pair.simulated.name} are of different motions: their positions differ by "
+                f"{pair.position['overall']:.3g} RMS, and the robot moves by {pair.motion['overall']:.3g} RMS"
+            )
+            yield Notice("pair_differs", "warning", None, message, "play the same commands in the simulator")
+
+
+def _simulator_notices(simulator: Diagnosis) -> Iterator[Notice]:
     """Notices about a simulator whose logs have faults, or whose logs the model's bodies do not explain."""
     for fault in simulator.faults:
         if fault.severity != "note":

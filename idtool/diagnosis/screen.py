@@ -226,7 +226,7 @@ def training_batches(
 def _model_rows(linearized: LinearizedFit, batch: Batch) -> tuple[list[Array], list[Array], list[Array]]:
     """By joint: the model's rows by y, (r, n), the residual, (n,), and 1 for each sample that counts, (n,)."""
     equation = linearized.experiment.equation
-    masks = equation.clean_samples(batch, linearized.reversal_margin)
+    masks = linearized.row_equation.clean_samples(batch, linearized.reversal_margin)
     Q, e, valid = [], [], []
     for j, (active, block) in enumerate(zip(equation.active(), equation.filtered_columns(batch), strict=True)):
         weight = masks[j] / linearized.noise[j]

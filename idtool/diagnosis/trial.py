@@ -318,7 +318,8 @@ def _parameter_probe(
     for (i, name), value, difference in zip(keys, values, differences, strict=True):
         entries = list(current.experiment.config.effects)
         entries[i] = _with_value(entries[i], name, value + difference)
-        equations.append(with_effects(current.experiment, entries, current.theta).equation)
+        # At the same operating point: a difference must be the parameter's alone.
+        equations.append(with_effects(current.experiment, entries).equation)
 
     def columns(motion: Motion, model: Linearization) -> Mapping[int, Array]:
         changes = []

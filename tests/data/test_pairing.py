@@ -59,6 +59,15 @@ def test_a_missing_torque_is_no_torque() -> None:
     assert (pair.torque, pair.position["overall"]) == (None, 0.0)
 
 
+def test_motions_under_other_commands_are_told_from_a_poor_simulator() -> None:
+    robot = log(0.0, 10.0, 0.001)
+    q = robot.signals["q"]
+    poor = make_log(Path("poor.csv"), robot.t, JOINTS, {"q": 1.3 * q + 0.1})
+    other = make_log(Path("other.csv"), robot.t, JOINTS, {"q": np.sin(2.2 * robot.t[:, None] + np.arange(2))})
+    assert align(robot, poor, JOINTS).moves_alike
+    assert not align(robot, other, JOINTS).moves_alike
+
+
 def test_lengths_and_joints_must_go_together() -> None:
     with pytest.raises(IdtoolError, match=r"lasts 2 s, and 0\.csv lasts 10 s"):
         align(log(0.0, 10.0, 0.001), log(0.0, 2.0, 0.001), JOINTS)
