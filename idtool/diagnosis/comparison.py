@@ -264,15 +264,12 @@ def _terms(fitted: Fit) -> dict[TermKey, _Term]:
     experiment = fitted.experiment
     equation = experiment.equation
     entries = {effect_from_entry(entry, experiment.model).key: entry for entry in experiment.config.effects}
-    offsets = equation.offsets()
     terms: dict[TermKey, _Term] = {}
-    for effect, start, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
+    for effect, part in equation.effect_slices():
         if not isinstance(effect, NamedEffect):
             continue
-        part = slice(start, end)
-        term = _Term(
-            effect, entries.get(effect.key), fitted.estimate.theta[part], fitted.uncertainty.covariance[part, part]
-        )
+        theta = fitted.estimate.theta[part]
+        term = _Term(effect, entries.get(effect.key), theta, fitted.uncertainty.covariance[part, part])
         owner = str(effect.key[1]) if len(effect.key) > 1 else ""
         number = 0
         while (effect.id, owner, number) in terms:
@@ -373,12 +370,11 @@ class _Sides:
         equation = experiment.equation
         theta = equation.prior.copy()
         values = {term.effect.key: term.theta for term in terms}
-        offsets = equation.offsets()
-        for effect, start, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
+        for effect, part in equation.effect_slices():
             if isinstance(effect, NamedEffect):
-                theta[start:end] = values[effect.key]
+                theta[part] = values[effect.key]
             elif _ALL_BODIES in from_robot:
-                theta[start:end] = fitted.estimate.theta[start:end]
+                theta[part] = fitted.estimate.theta[part]
         if equation.depends_on_parameters:
             experiment = replace(experiment, equation=equation.linearized_at(theta))
         return experiment, theta

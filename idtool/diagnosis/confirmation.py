@@ -15,7 +15,7 @@ from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import PartEstimate
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, parameter_value
-from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
+from idtool.dynamics.effects import effect_types
 from idtool.estimation.dataset.experiment import Experiment, Progress, split_ranges
 from idtool.robot.config import EffectEntry
 
@@ -105,8 +105,7 @@ def _size(trial: TrialFit, index: int, inflation: float) -> tuple[str, float, fl
     """
     linearized = trial.linearized
     entry = trial.entries[index]
-    linear = _linear_parameters(linearized, entry, inflation)
-    for name, (value, error) in linear.items():
+    for name, (value, error) in linear_parameters(linearized, entry, inflation).items():
         if error is not None and np.isfinite(error):
             return name, value, error
     for name in effect_types()[entry.effect].gradient_parameters():
@@ -117,31 +116,29 @@ def _size(trial: TrialFit, index: int, inflation: float) -> tuple[str, float, fl
     return None
 
 
-def _linear_parameters(
+def linear_parameters(
     linearized: LinearizedFit, entry: EffectEntry, inflation: float
 ) -> dict[str, tuple[float, float | None]]:
-    """Linear parameters of an effect with their standard errors, by name."""
-    equation = linearized.experiment.equation
-    key = effect_from_entry(entry, linearized.experiment.model).key
-    offsets = equation.offsets()
-    for effect, first, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
-        if isinstance(effect, NamedEffect) and effect.key == key and end > first:
-            covariance = coefficient_covariance(linearized, slice(first, end), inflation)
-            return effect.parameters(linearized.estimate.theta[first:end], covariance)
-    return {}
-
-
-def coefficient_covariance(linearized: LinearizedFit, coefficients: slice, inflation: float) -> Array:
-    """Covariance of some coefficients of a model, shape (m, m).
+    """Values and standard errors of an effect's linear parameters, by name.
 
     Parameters
     ----------
     linearized
         The model.
-    coefficients
-        Indices of the m coefficients among its p.
+    entry
+        Configuration entry of the effect.
     inflation
         Number of rows that are worth one independent one.
     """
+    found = linearized.find_effect(entry)
+    if found is None:
+        return {}
+    effect, part = found
+    covariance = _coefficient_covariance(linearized, part, inflation)
+    return effect.parameters(linearized.estimate.theta[part], covariance)
+
+
+def _coefficient_covariance(linearized: LinearizedFit, coefficients: slice, inflation: float) -> Array:
+    """Covariance of m coefficients of a model, which are given by their range, shape (m, m)."""
     directions = linearized.directions[coefficients]
     return np.asarray(inflation * directions @ np.linalg.solve(linearized.information, directions.T))

@@ -11,7 +11,7 @@ import numpy as np
 
 from idtool.common.arrays import Mask
 from idtool.common.notice import Notice, unique
-from idtool.diagnosis.confirmation import coefficient_covariance, estimate_on_parts
+from idtool.diagnosis.confirmation import estimate_on_parts, linear_parameters
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.doubts import doubt_about
 from idtool.diagnosis.effect_profile import effect_profile
@@ -41,7 +41,6 @@ from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
 from idtool.diagnosis.unbiased_delay import with_unbiased_delay
 from idtool.diagnosis.words import distinguishing_experiment, fitted_along_sentence, step_sentence, with_doubts
-from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.fit import Fit, fit
@@ -330,23 +329,15 @@ def _fit_with_first_effects(search: EffectSearch, count: int) -> tuple[Linearize
 
 def _parameters(effect: AddedEffect, search: EffectSearch) -> tuple[dict[str, object], dict[str, object]]:
     """Values and standard errors of an effect's parameters by name, in the final model."""
-    fitted = search.current
-    equation = fitted.experiment.equation
-    key = effect_from_entry(effect.entry, fitted.experiment.model).key
     values: dict[str, object] = {}
     errors: dict[str, object] = {}
     for name, value in effect.entry.values.items():
         values[name] = value
         errors[name] = _nonlinear_error(effect, name, value)
-
-    offsets = equation.offsets()
-    for present, start, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
-        if isinstance(present, NamedEffect) and present.key == key and end > start:
-            covariance = coefficient_covariance(fitted, slice(start, end), effect.selection.inflation)
-            linear = present.parameters(fitted.estimate.theta[start:end], covariance)
-            for name, (value, error) in linear.items():
-                values[name] = value
-                errors[name] = error
+    linear = linear_parameters(search.current, effect.entry, effect.selection.inflation)
+    for name, (value, error) in linear.items():
+        values[name] = value
+        errors[name] = error
     return values, errors
 
 

@@ -23,6 +23,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.data.signals import Batch
+from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.regressor import LinearModel
@@ -33,6 +34,7 @@ from idtool.estimation.dataset.weights import free_noise, weighted_rows
 from idtool.estimation.identification import choose_sets
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.estimate import Estimate, estimate
+from idtool.robot.config import EffectEntry
 
 _BLOCKS = 36  # of time, of all logs together
 _MIN_BLOCK_SECONDS = 0.4
@@ -93,6 +95,14 @@ class LinearizedFit:
     block_length: int
     reversal_margin: float
     row_equation: LinearModel
+
+    def find_effect(self, entry: EffectEntry) -> tuple[NamedEffect, slice] | None:
+        """Effect of a configuration entry and the range of its coefficients in theta; None if it has none."""
+        key = effect_from_entry(entry, self.experiment.model).key
+        for effect, part in self.experiment.equation.effect_slices():
+            if isinstance(effect, NamedEffect) and effect.key == key and part.stop > part.start:
+                return effect, part
+        return None
 
     @property
     def block_count(self) -> int:

@@ -37,7 +37,7 @@ from idtool.diagnosis.trial import (
     has_fixed_inertia,
     parameter_value,
 )
-from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
+from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import Burst, DataSummary
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
@@ -280,16 +280,15 @@ def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: Lineari
 def _implausibility(candidate: FittedCandidate, summary: DataSummary) -> str:
     """Reason why no robot has such an effect, as a clause; empty if one may."""
     fit = candidate.trial.linearized
-    equation = fit.experiment.equation
     entry = candidate.trial.entries[-1]
-    key = effect_from_entry(entry, fit.experiment.model).key
     values = dict(entry.values)
-    offsets = equation.offsets()
-    for effect, first, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
-        if isinstance(effect, NamedEffect) and effect.key == key and end > first:
-            unknown = np.full((end - first, end - first), np.inf)
-            linear = effect.parameters(fit.estimate.theta[first:end], unknown)
-            values |= {name: value for name, (value, _) in linear.items()}
+    found = fit.find_effect(entry)
+    if found is not None:
+        effect, part = found
+        theta = fit.estimate.theta[part]
+        unknown_covariance = np.full((len(theta), len(theta)), np.inf)
+        linear = effect.parameters(theta, unknown_covariance)
+        values |= {name: value for name, (value, _) in linear.items()}
     return effect_types()[entry.effect].implausibility(values, entry.joint, summary)
 
 
