@@ -14,7 +14,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.records import Candidate
-from idtool.diagnosis.screen import ScreenedProbe, screen_probes
+from idtool.diagnosis.screen import ScreenedProbe, screen_probes, sum_standard_error
 from idtool.diagnosis.trial import TrialFit
 from idtool.dynamics.effects import effect_types, target_name
 from idtool.dynamics.effects.probe import Probe
@@ -63,7 +63,7 @@ class FittedCandidate:
     @property
     def standard_error(self) -> float:
         """Standard error of the gain, from the blocks."""
-        return _sum_standard_error(self.gains)
+        return sum_standard_error(self.gains)
 
     @property
     def remaining(self) -> float:
@@ -266,12 +266,7 @@ def _generalizes(a: FittedCandidate, b: FittedCandidate) -> bool:
 def _gains_differ(a: FittedCandidate, b: FittedCandidate) -> bool:
     """True if the gains of two candidates differ by more than chance."""
     difference = b.gains - a.gains
-    return bool(abs(difference.sum()) > _SAME_GAIN * _sum_standard_error(difference))
-
-
-def _sum_standard_error(values: Array) -> float:
-    """Standard error of the sum of independent values."""
-    return float(np.sqrt(len(values)) * values.std(ddof=1))
+    return bool(abs(difference.sum()) > _SAME_GAIN * sum_standard_error(difference))
 
 
 def _rejected_by_screening(candidate: ScreenedProbe, base: LinearizedFit, inflation: float) -> Candidate:

@@ -73,7 +73,7 @@ class ScreenedProbe:
     @property
     def standard_error(self) -> float:
         """Standard error of the gain, from the blocks."""
-        return float(np.sqrt(len(self.gains)) * self.gains.std(ddof=1)) if len(self.gains) > 1 else np.inf
+        return sum_standard_error(self.gains) if len(self.gains) > 1 else np.inf
 
     @property
     def is_possible(self) -> bool:
@@ -84,6 +84,11 @@ class ScreenedProbe:
     def entry(self) -> EffectEntry | None:
         """Configuration entry; None if there is no such effect."""
         return self.probe.to_entry(self.c, self.information)
+
+
+def sum_standard_error(values: Array) -> float:
+    """Standard error of the sum of independent values, shape (F,), from their scatter."""
+    return float(np.sqrt(len(values)) * values.std(ddof=1))
 
 
 @dataclass
