@@ -1,8 +1,8 @@
 """`ExtendedModel`: the configuration's model with the effects that a search has added, fitted to the data.
 
-A controller holds its torque during a sample, so that the log has it half a sample early: every log has a delay of
-about that size. Such a background effect, a delay of all joints shorter than one sample, is fitted with the others but
-not reported: without it, it looks like joint elasticity.
+A controller holds its torque during a sample, so that the torque acts half a sample later, on average, than it is
+logged. Every log has a delay of about that size. It is the background: an effect that is fitted with the others but not
+reported, as long as it is shorter than one sample. A model without it would explain it as joint elasticity.
 """
 
 from __future__ import annotations
