@@ -34,7 +34,7 @@ def estimate_on_parts(
     current
         The model.
     entries
-        Its effects that are to be confirmed, as they are in it.
+        Entries of the effects that are to be confirmed: the very objects in the model's configuration.
     inflation
         Number of rows that are worth one independent one.
     progress
@@ -45,7 +45,7 @@ def estimate_on_parts(
     For each entry, the parts on which its size could be estimated.
     """
     all_entries = current.experiment.config.effects
-    positions = {id(entry): i for i, entry in enumerate(all_entries)}
+    positions = {id(entry): i for i, entry in enumerate(all_entries)}  # two entries may be equal
     indices = [positions[id(entry)] for entry in entries]
     estimates: list[list[PartEstimate]] = [[] for _ in entries]
     for name, part in _parts(current.experiment):
@@ -71,12 +71,14 @@ def contradiction(estimates: Sequence[PartEstimate]) -> str:
 
 
 def _text(estimate: PartEstimate) -> str:
-    preposition = "on" if estimate.part.endswith("half") else "in"
-    part = f"the {estimate.part} of the log" if estimate.part.endswith("half") else estimate.part
-    return f"{estimate.value:.3g} ± {estimate.standard_error:.2g} {preposition} {part}"
+    """Size with its standard error, and where it was estimated."""
+    is_half = estimate.part.endswith("half")
+    place = f"on the {estimate.part} of the log" if is_half else f"in {estimate.part}"
+    return f"{estimate.value:.3g} ± {estimate.standard_error:.2g} {place}"
 
 
 def _agree(a: PartEstimate, b: PartEstimate) -> bool:
+    """True if two estimates of a size differ by no more than chance, or by little."""
     difference = abs(a.value - b.value)
     chance = _MAX_DIFFERENCE * float(np.hypot(a.standard_error, b.standard_error))
     return difference <= max(chance, _SAME_SIZE * max(abs(a.value), abs(b.value)))
