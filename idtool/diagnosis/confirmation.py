@@ -34,7 +34,7 @@ def estimate_on_parts(
     current
         The model.
     entries
-        Entries of the effects that are to be confirmed: the very objects in the model's configuration.
+        Entries of the effects that are to be confirmed, as in the model.
     inflation
         Number of rows that are worth one independent one.
     progress
@@ -45,8 +45,7 @@ def estimate_on_parts(
     For each entry, the parts on which its size could be estimated.
     """
     all_entries = current.experiment.config.effects
-    positions = {id(entry): i for i, entry in enumerate(all_entries)}  # two entries may be equal
-    indices = [positions[id(entry)] for entry in entries]
+    indices = [all_entries.index(entry) for entry in entries]
     estimates: list[list[PartEstimate]] = [[] for _ in entries]
     for name, part in _parts(current.experiment):
         try:

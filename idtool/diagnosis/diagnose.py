@@ -15,7 +15,7 @@ from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.doubts import doubt_about
 from idtool.diagnosis.effect_order import remove_harmful
 from idtool.diagnosis.effect_profile import effect_profile
-from idtool.diagnosis.effect_search import REVERSAL_MARGIN, EffectSearch
+from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit, evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
@@ -33,6 +33,7 @@ from idtool.diagnosis.records import (
     Verdict,
 )
 from idtool.diagnosis.residual_maps import residual_maps
+from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN
 from idtool.diagnosis.stages import Stages
 from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
 from idtool.diagnosis.unbiased_delay import with_unbiased_delay

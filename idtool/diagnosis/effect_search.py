@@ -9,9 +9,6 @@ import time
 from collections.abc import Sequence
 from itertools import combinations
 
-import numpy as np
-
-from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.bursts import find_bursts
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
@@ -29,6 +26,7 @@ from idtool.diagnosis.model_selection import (
     probe_key,
     probe_target,
 )
+from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN, joints_clearer_away_from_reversals
 from idtool.diagnosis.screen import sum_standard_error
 from idtool.diagnosis.selection_round import (
     MIN_PARAMETER_SIGNIFICANCE,
@@ -44,9 +42,6 @@ from idtool.dynamics.effects import effect_types
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 
-REVERSAL_MARGIN = 0.04  # s from reversals, within which rows may be excluded
-_MIN_INFORMATION_GAIN = 4.0  # factor on a joint's information for which they are; it halves the standard errors
-_MIN_INFORMATION_LEFT = 0.5  # share of its information that every joint must keep
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
 _MAX_REPLACEMENTS = 3
 _MIN_REPLACEMENT_GAIN = 2.0  # standard errors by which a model must be better to replace another
@@ -194,16 +189,16 @@ class EffectSearch:
         large near reversals, the others are searched away from them, and those that act there once more. If it is still
         large after that, the rows near reversals are excluded for the rest of the search.
         """
-        if self._joints_clearer_away_from_reversals():
+        if joints_clearer_away_from_reversals(self.current, self.progress):
             self._add_reversal_effects()
-        if self._joints_clearer_away_from_reversals():
+        if joints_clearer_away_from_reversals(self.current, self.progress):
             self.model.set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
             self.model.set_reversal_margin(0.0)
             self._add_reversal_effects()
         else:
             self._add_effects()
-        self.reversal_joints = self._joints_clearer_away_from_reversals()
+        self.reversal_joints = joints_clearer_away_from_reversals(self.current, self.progress)
         if self.reversal_joints:
             self.model.set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
@@ -233,27 +228,6 @@ class EffectSearch:
         self.model.drop([effect])
         self.failed[effect.chosen.effect, effect.chosen.target] = not_fitted_reason(failure)
         self.model.try_refit()
-
-    def _joints_clearer_away_from_reversals(self) -> dict[str, tuple[float, float]]:
-        """Joints with much more information without the rows near reversals; none if another joint loses too much.
-
-        Returns
-        -------
-        Their rms residual with and without these rows [N·m or N].
-        """
-        try:
-            away = linearize_fit(self.current.experiment, self.progress, reversal_margin=REVERSAL_MARGIN)
-        except FAILURES:
-            return {}
-        information = _information(self.current)
-        information_away = _information(away)
-        if (information_away < _MIN_INFORMATION_LEFT * information).any():
-            return {}
-        is_clearer = information_away > _MIN_INFORMATION_GAIN * information
-        rms = _rms_residual(self.current)
-        rms_away = _rms_residual(away)
-        joints = away.experiment.equation.joints
-        return {joints[j]: (float(rms[j]), float(rms_away[j])) for j in np.flatnonzero(is_clearer)}
 
     def _add_effects(self) -> None:
         """Add effects of all kinds."""
@@ -492,17 +466,6 @@ class EffectSearch:
             effect.entry = entry
         if self.model.try_refit():
             self.model.restore(before)
-
-
-def _information(fit: LinearizedFit) -> Array:
-    """Fisher information of the rows on an offset of each joint's torque, shape (nv,) [1/(N·m)² or 1/N²]."""
-    variance = np.maximum(np.square(_rms_residual(fit)), np.finfo(float).tiny)
-    return np.asarray(fit.row_counts.sum(axis=0) / variance)
-
-
-def _rms_residual(fit: LinearizedFit) -> Array:
-    """Rms residual of each joint's rows, shape (nv,) [N·m or N]."""
-    return np.asarray(fit.noise * np.sqrt(fit.sse.sum(axis=0) / np.maximum(fit.row_counts.sum(axis=0), 1.0)))
 
 
 def _without_undetermined(effect: AddedEffect) -> EffectEntry:

@@ -13,9 +13,10 @@ from disturbed import Hidden, experiment_of, silent, torque_on_joint
 from idtool.common.exceptions import SolverError
 from idtool.diagnosis import effect_order, selection_round
 from idtool.diagnosis.effect_order import first_harmful, remove_harmful
-from idtool.diagnosis.effect_search import REVERSAL_MARGIN, EffectSearch
+from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
 from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN
 from idtool.diagnosis.trial import with_fixed_inertia
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import fit
