@@ -61,9 +61,7 @@ class Quantity:
     def is_significant(self) -> bool:
         """True if the two differ by more than chance."""
         given = (self.simulator, self.simulator_error, self.robot, self.robot_error)
-        elements = zip(
-            *(_elements(value) for value in given), strict=False
-        )  # of a list, the error may be a single None
+        elements = zip(*(_elements(value) for value in given), strict=False)  # the error of a list may be one None
         for simulator, simulator_error, robot, robot_error in elements:
             if not isinstance(simulator, float | int) or not isinstance(robot, float | int):
                 continue

@@ -21,9 +21,7 @@ from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.localization import localize_residual, localize_unexplained
 from idtool.diagnosis.model_selection import fitted_record, is_reportable
-from idtool.diagnosis.noise_floor import NoiseFloor
 from idtool.diagnosis.records import (
-    Candidate,
     Diagnosis,
     DiagnosisStep,
     ErrorSummary,
@@ -38,12 +36,11 @@ from idtool.diagnosis.stages import Stages
 from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
 from idtool.diagnosis.unbiased_delay import with_unbiased_delay
 from idtool.diagnosis.unexplained import (
+    RemainingResidual,
     no_structure,
-    reported_floor,
     residual_as_floor,
     residual_structure,
     structured_noise_floor,
-    unexplained_joints,
 )
 from idtool.diagnosis.words import distinguishing_experiment, fitted_along_sentence, step_sentence, with_doubts
 from idtool.estimation.dataset.batch_cache import BatchCache
@@ -116,15 +113,10 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     last = _fit_with_effects(search, first, simulate, stages)
     after = errors_of_fit(last)
 
-    inflation = search.last_round.inflation if search.last_round is not None else 1.0
-    find_structure = partial(residual_structure, search.current, inflation, progress)
-    structure = stages.run("the search for unknown effects", find_structure, no_structure(experiment.equation.joints))
-    remaining = stages.run("the error of all effects together", partial(_remaining_errors, search), after)
-    estimate_floor = partial(structured_noise_floor, search.current, structure, progress)
-    floor = stages.run("the noise floor", estimate_floor, residual_as_floor(remaining))
+    remaining = _remaining_residual(search, after, stages)
     steps = with_doubts(_steps(search, first, last, simulate, stages), experiment.model)
-    steps = _confirmed(steps, search, floor, remaining, stages)
-    steps += _unknown_steps(search, structure, floor, remaining, last, stages)
+    steps = _confirmed(steps, search, remaining, stages)
+    steps += _unknown_steps(search, remaining, last, stages)
     no_maps: ProfilesByJoint = {}
     maps_before = stages.run("the residual map", partial(_maps, first, progress), no_maps)
     maps_after = stages.run("the residual map", partial(_maps, last, progress), no_maps)
@@ -138,7 +130,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         removed=tuple(search.removed),
         before=before,
         after=after,
-        floor=reported_floor(floor, remaining, after),
+        floor=remaining.reported_floor(after),
         verdict=_verdict(steps),
         maps_before=maps_before,
         maps_after=maps_after,
@@ -169,14 +161,22 @@ def _maps(model: Fit, progress: Progress) -> ProfilesByJoint:
     return residual_maps(model.experiment, model.estimate.theta, progress)
 
 
-def _remaining_errors(search: EffectSearch) -> ErrorSummary:
-    """Errors of the model with all effects, those included that are not named."""
+def _remaining_residual(search: EffectSearch, after: ErrorSummary, stages: Stages) -> RemainingResidual:
+    """Residual of the model with all effects; ``after`` are the errors of the reported model."""
     current = search.current
-    return evaluate_errors(current.experiment, current.estimate.theta, False, search.progress)
+    inflation = search.last_round.inflation if search.last_round is not None else 1.0
+    find_structure = partial(residual_structure, current, inflation, search.progress)
+    without_structure = no_structure(current.experiment.equation.joints)
+    structure = stages.run("the search for unknown effects", find_structure, without_structure)
+    evaluate = partial(evaluate_errors, current.experiment, current.estimate.theta, False, search.progress)
+    errors = stages.run("the error of all effects together", evaluate, after)
+    estimate_floor = partial(structured_noise_floor, current, structure, search.progress)
+    floor = stages.run("the noise floor", estimate_floor, residual_as_floor(errors))
+    return RemainingResidual(errors, structure, floor)
 
 
 def _confirmed(
-    steps: Sequence[DiagnosisStep], search: EffectSearch, floor: NoiseFloor, remaining: ErrorSummary, stages: Stages
+    steps: Sequence[DiagnosisStep], search: EffectSearch, remaining: RemainingResidual, stages: Stages
 ) -> list[DiagnosisStep]:
     """Steps with the size of their effects on parts of the data, and doubts about those that are not confirmed."""
     if not steps:
@@ -186,12 +186,12 @@ def _confirmed(
     estimate = partial(estimate_on_parts, search.current, entries, inflation, search.progress)
     unconfirmed: list[list[PartEstimate]] = [[] for _ in entries]
     parts = stages.run("the confirmation on parts of the data", estimate, unconfirmed)
-    floor_rms = dict(zip(search.current.experiment.equation.joints, floor.rms.tolist(), strict=True))
-    floor_rms["overall"] = float(np.sqrt(np.mean(np.square(floor.rms))))
+    floor = dict(zip(search.current.experiment.equation.joints, remaining.floor.rms.tolist(), strict=True))
+    floor["overall"] = float(np.sqrt(np.mean(np.square(remaining.floor.rms))))
     confirmed = []
     for step, estimates in zip(steps, parts, strict=True):
         with_parts = replace(step, parts=tuple(estimates))
-        doubt = step.doubt or doubt_about(with_parts, floor_rms, remaining.torque)
+        doubt = step.doubt or doubt_about(with_parts, floor, remaining.errors.torque)
         confirmed.append(replace(with_parts, doubt=doubt))
     return confirmed
 
@@ -296,21 +296,16 @@ def _nonlinear_error(effect: AddedEffect, name: str, value: object) -> object:
 
 
 def _unknown_steps(
-    search: EffectSearch,
-    structure: Sequence[Candidate],
-    floor: NoiseFloor,
-    remaining: ErrorSummary,
-    last: Fit,
-    stages: Stages,
+    search: EffectSearch, remaining: RemainingResidual, last: Fit, stages: Stages
 ) -> list[DiagnosisStep]:
     """Steps of the joints whose residual is above the noise floor, or has structure that no effect explains."""
-    is_unexplained = unexplained_joints(search.current, structure, floor, remaining)
-    unknown = [candidate for candidate, is_step in zip(structure, is_unexplained, strict=True) if is_step]
+    is_unexplained = remaining.is_unexplained(search.current.rms_torque)
+    unknown = [candidate for candidate, is_step in zip(remaining.structure, is_unexplained, strict=True) if is_step]
     if not unknown:
         return []
 
-    floor_rms = dict(zip(last.experiment.equation.joints, floor.rms.tolist(), strict=True))
-    locate = partial(localize_unexplained, last.experiment, last.estimate.theta, floor_rms, search.progress)
+    floor = dict(zip(last.experiment.equation.joints, remaining.floor.rms.tolist(), strict=True))
+    locate = partial(localize_unexplained, last.experiment, last.estimate.theta, floor, search.progress)
     nowhere: dict[str, ResidualLocation] = {}
     locations = stages.run("the location of a residual", locate, nowhere)
     errors = errors_of_fit(last)

@@ -173,7 +173,7 @@ class EffectSearch:
         self.removed = list(removed)
         try:
             self.model.settle()
-        except FAILURES:  # it remains as the search had it
+        except FAILURES:  # keep it as it was fitted during the search
             self.model.restore(state)
 
     def _keep_as_complete(self) -> None:
@@ -181,13 +181,12 @@ class EffectSearch:
         self._complete = self.model.state(), tuple(self.removed)
 
     def _run(self) -> None:
-        """Add effects until none is worthwhile.
+        """Add effects until none is worthwhile, replace and remove those that turn out wrong, and fit the rest.
 
-        Near a reversal, the friction of real robots does not follow Coulomb's law, and simulators smooth the sign. This
-        residual must not hide smaller effects. So if the residual is much smaller away from reversals, those that act
-        there, such as Stribeck friction, are searched first, and must explain most of the residual. If it is still
-        large near reversals, the others are searched away from them, and those that act there once more. If it is still
-        large after that, the rows near reversals are excluded for the rest of the search.
+        A large residual near reversals must not hide smaller effects, see `reversal_rows`. Where there is one, effects
+        that act there, such as Stribeck friction, are searched first, and must explain most of it. If that is not
+        enough, the others are searched away from reversals, and those that act there once more. If that is not enough
+        either, the rows near reversals are excluded for the rest of the search.
         """
         if joints_clearer_away_from_reversals(self.current, self.progress):
             self._add_reversal_effects()

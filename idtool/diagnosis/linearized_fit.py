@@ -180,26 +180,13 @@ def linearize_fit(
             row_equation = reference.row_equation
     blocks = _read_blocks(experiment, length, progress, row_equation, reversal_margin)
     equation = experiment.equation
-    config = experiment.config
     reduction = experiment.checked(merge_reductions([log.total for log in blocks]))
-    equalities = experiment.equalities
     rms_torque = np.array([np.linalg.norm(factor.R[:, -1]) / np.sqrt(factor.rows) for factor in reduction])
     if reference is None:
-        noise = free_noise(equation, reduction, equalities)
+        noise = free_noise(equation, reduction, experiment.equalities)
     else:
         noise = reference.noise * _noise_ratio(experiment, rms_torque, reference)
-    sets, _ = choose_sets(experiment.model.bodies, config.constraints)
-    estimated = estimate(
-        equation,
-        experiment.model.bodies,
-        reduction,
-        sets,
-        config.regularization.fixed_or_weak(),
-        equalities,
-        config.solver.name,
-        noise,
-        config.solver.backend,
-    )
+    estimated = _estimate(experiment, reduction, noise)
     theta, directions, prior_information = _directions(equation, reduction, estimated, noise)
 
     parts = [part for log in blocks for part in log.parts]
@@ -221,6 +208,24 @@ def linearize_fit(
         block_length=length,
         reversal_margin=reversal_margin,
         row_equation=row_equation,
+    )
+
+
+def _estimate(experiment: Experiment, reduction: Reduction, noise: Array) -> Estimate:
+    """Estimate of the coefficients as configured, the joints weighted by their noise, shape (nv,)."""
+    config = experiment.config
+    bodies = experiment.model.bodies
+    sets, _ = choose_sets(bodies, config.constraints)
+    return estimate(
+        experiment.equation,
+        bodies,
+        reduction,
+        sets,
+        config.regularization.fixed_or_weak(),
+        experiment.equalities,
+        config.solver.name,
+        noise,
+        config.solver.backend,
     )
 
 

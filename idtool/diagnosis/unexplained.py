@@ -1,8 +1,9 @@
-"""Residual that the effects found do not explain: its structure, the noise floor, and the joints where it is more."""
+"""Residual that the effects found do not explain: its structure, its noise floor, and the joints where it is more."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +23,58 @@ _NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual does not matte
 _SLOW_POWER = 25.0  # ratio of the residual's power to the noise's at the motion's frequencies: it has structure
 _MAX_FLOOR_RATIO = 1.3  # of the noise floor, up to which a residual is explained
 _NEAR_NOISE = 1.5  # times the noise, up to which a residual counts as noise
+
+
+@dataclass(frozen=True)
+class RemainingResidual:
+    """Residual of the model with all effects, those included that are only fitted and not reported.
+
+    Attributes
+    ----------
+    errors
+        Torque errors of the model.
+    structure
+        Its `residual_structure`.
+    floor
+        Its noise floor.
+    """
+
+    errors: ErrorSummary
+    structure: Sequence[Candidate]
+    floor: NoiseFloor
+
+    def reported_floor(self, reported: ErrorSummary) -> dict[str, float]:
+        """Noise floor of the model without the effects that are not reported, by joint and ``overall`` [N·m or N].
+
+        What these effects explain is added, since the reported model cannot go below it.
+
+        Parameters
+        ----------
+        reported
+            Errors of the reported model.
+        """
+        squares = {}
+        for name, rms in zip(_joint_names(self.errors.torque), self.floor.rms.tolist(), strict=True):
+            explained = reported.torque[name] ** 2 - self.errors.torque[name] ** 2
+            squares[name] = rms**2 + max(explained, 0.0)
+        squares["overall"] = float(np.mean(list(squares.values())))
+        return {name: float(np.sqrt(square)) for name, square in squares.items()}
+
+    def is_unexplained(self, rms_torque: Array) -> Mask:
+        """Mask of the joints whose residual is more than noise, shape (nv,).
+
+        Parameters
+        ----------
+        rms_torque
+            Rms of each joint's torque, shape (nv,) [N·m or N].
+        """
+        negligible = _NEGLIGIBLE * rms_torque
+        has_structure = np.array([candidate.score > _STRUCTURED_SHARE for candidate in self.structure])
+        has_slow_power = self.floor.slow_power_ratio > _SLOW_POWER
+        is_above_noise = self.floor.residual > np.maximum(_NEAR_NOISE * self.floor.noise, negligible)
+        rms = _by_joint(self.errors.torque)
+        is_above_floor = (rms > _MAX_FLOOR_RATIO * self.floor.rms) & (rms > negligible)
+        return has_structure | (has_slow_power & is_above_noise) | is_above_floor
 
 
 def residual_structure(current: LinearizedFit, inflation: float, progress: Progress) -> list[Candidate]:
@@ -90,47 +143,6 @@ def residual_as_floor(errors: ErrorSummary) -> NoiseFloor:
     """Noise floor that is not known: all of the residual may be noise."""
     rms = _by_joint(errors.torque)
     return NoiseFloor(rms, rms, rms, np.ones(len(rms)))
-
-
-def reported_floor(floor: NoiseFloor, remaining: ErrorSummary, after: ErrorSummary) -> dict[str, float]:
-    """Noise floor by joint, and ``overall``, of a model without the effects that are only included in the fit.
-
-    What these effects explain is added, since the reported model cannot go below it.
-
-    Parameters
-    ----------
-    floor
-        Noise floor of the model with them.
-    remaining, after
-        Errors of the models with and without them.
-    """
-    squares = {}
-    for name, rms in zip(_joint_names(remaining.torque), floor.rms.tolist(), strict=True):
-        explained = after.torque[name] ** 2 - remaining.torque[name] ** 2
-        squares[name] = rms**2 + max(explained, 0.0)
-    squares["overall"] = float(np.mean(list(squares.values())))
-    return {name: float(np.sqrt(square)) for name, square in squares.items()}
-
-
-def unexplained_joints(
-    current: LinearizedFit, structure: Sequence[Candidate], floor: NoiseFloor, remaining: ErrorSummary
-) -> Mask:
-    """Mask of the joints whose residual is more than noise, shape (nv,).
-
-    Parameters
-    ----------
-    current
-        The model.
-    structure, floor, remaining
-        Its `residual_structure`, its noise floor, and its errors.
-    """
-    negligible = _NEGLIGIBLE * current.rms_torque
-    has_structure = np.array([candidate.score > _STRUCTURED_SHARE for candidate in structure])
-    has_slow_power = floor.slow_power_ratio > _SLOW_POWER
-    is_above_noise = floor.residual > np.maximum(_NEAR_NOISE * floor.noise, negligible)
-    rms = _by_joint(remaining.torque)
-    is_above_floor = (rms > _MAX_FLOOR_RATIO * floor.rms) & (rms > negligible)
-    return has_structure | (has_slow_power & is_above_noise) | is_above_floor
 
 
 def _joint_names(errors: Mapping[str, float]) -> list[str]:

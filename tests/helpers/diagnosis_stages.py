@@ -6,7 +6,6 @@ STAGES = (
     "evaluate_errors",
     "_fit_with_first_effects",
     "residual_structure",
-    "_remaining_errors",
     "structured_noise_floor",
     "localize_residual",
     "localize_unexplained",
