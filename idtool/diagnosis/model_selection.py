@@ -186,7 +186,8 @@ def select_best(
     indistinguishable = []
     runners_up = []
     for rival in rivals:
-        if rival in worthwhile and _is_indistinguishable(rival, winner) and not _generalizes(rival, winner):
+        is_alike = _is_indistinguishable(rival, winner)
+        if rival in worthwhile and is_alike and not _generalizes(rival, winner):
             indistinguishable.append(rival)
         else:
             runners_up.append(rival)
@@ -214,6 +215,7 @@ def _simplest_of_best(worthwhile: Sequence[FittedCandidate]) -> FittedCandidate:
     """Simplest of the candidates that are as good as the best."""
     best = worthwhile[0]
     equals = [candidate for candidate in worthwhile if _is_as_good(candidate, best)]
+    # an effect that can imitate another one is chosen only if that is not as good
     specific = [candidate for candidate in equals if not any(_generalizes(candidate, other) for other in equals)]
     return min(specific or equals, key=lambda candidate: (candidate.probe.complexity, -candidate.gain))
 
@@ -266,7 +268,7 @@ def _is_indistinguishable(a: FittedCandidate, b: FittedCandidate) -> bool:
 
 
 def _rivals(fitted: Sequence[FittedCandidate], winner: FittedCandidate, progress: Progress) -> list[FittedCandidate]:
-    """Candidates that explain the same as the winner: with it in the model, they explain far less."""
+    """Candidates that explain the same part of the residual as the winner: with it in the model, far less is left."""
     others = [candidate for candidate in fitted if candidate is not winner and is_reportable(candidate.probe.effect)]
     if not others:
         return []

@@ -47,8 +47,8 @@ Bursts = tuple[Burst, ...]
 _REFINED = 7  # candidates that are tried on a finer grid
 _MAX_FINALISTS = 5  # candidates that are fitted with the whole model
 _MIN_FINALIST_GAIN = 0.4  # of the best gain
-_MAX_VALIDATION_RATIO = 1.01  # of the squared residual of held-out data, with an effect over without it
-_MAX_LOSS = 0.2  # of its gains, that an effect may lose in other blocks
+_MAX_VALIDATION_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
+_MAX_LOSS = 0.2  # of its gains in some blocks, that an effect may lose in others
 MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter is at least from zero
 _MIN_SAVED_SHARE = 1e-4  # of a joint's squared residual without any effect: those found are known no better
 _NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual counts as zero
@@ -67,7 +67,7 @@ def find_best_effect(
     min_share: float = MIN_SHARE,
     skipped: Container[ProbeKey] = (),
 ) -> SelectionStep:
-    """Effect that explains most of a model's residual.
+    """Search for the effect that explains most of a model's residual: one round.
 
     Parameters
     ----------
