@@ -56,8 +56,8 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
 
     Returns
     -------
-    If the torque comes and goes at once, a burst of those windows, which may be on any link; before it, one that has the
-    other windows with a large torque too, if there are any. Else one for each link on which a push explains the torque.
+    If the torque comes and goes at once, a burst of those windows, which may be on any link; before it, if there are
+    other windows with a large torque, one of all of them. Else one for each link on which a push explains the torque.
     With several logs, those of each training log by itself.
     """
     residual = robust_residual(experiment, theta, progress, "looking for contacts")

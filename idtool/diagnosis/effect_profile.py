@@ -46,11 +46,8 @@ def effect_profile(
         Callback for the stage and its progress, from 0 to 1.
     """
     effect = effect_from_entry(entry, after.model)
-    models = [
-        (before.equation, theta_before),
-        _without_effect(effect, after, theta_after),
-        (after.equation, theta_after),
-    ]
+    without = _without_effect(effect, after, theta_after)
+    models = [(before.equation, theta_before), without, (after.equation, theta_after)]
     series = residual_series(before, models, progress, "mapping the explained residual")
 
     joints = after.equation.joints

@@ -59,11 +59,11 @@ class EffectSearch:
     model
         The model so far.
     initial
-        The model before any effect was added, with the background effects.
+        The model before any effect was added, with the background effect.
     removed
         Effects that were removed again, a plain sentence each.
     last_round
-        The round that found nothing more.
+        The latest round in which effects were added, at the end the one that found nothing more; None before the first.
     reversal_joints
         Joints whose friction does not follow its law near reversals. Their rms residual with and without the rows near
         reversals [N·m or N], which are then excluded.
