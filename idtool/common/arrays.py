@@ -1,4 +1,4 @@
-"""Types of arrays."""
+"""Types of arrays, and runs of a mask."""
 
 from __future__ import annotations
 
@@ -9,3 +9,8 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
+
+
+def mask_runs(mask: Mask) -> Indices:
+    """First index of each run of True and the one after its last, shape (k, 2)."""
+    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
-from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.arrays import Array, Indices, Mask, mask_runs
 from idtool.data.logs import JointLog
 from idtool.diagnosis.pushes import find_pushes, raised_windows
 from idtool.diagnosis.robust_residual import RobustResidual, robust_residual
@@ -56,8 +56,9 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
 
     Returns
     -------
-    For any link if the torque comes and goes at once, with and without the other windows in which it is large; else one
-    for each link on which a push explains it. With several logs, those of each training log by itself.
+    If the torque comes and goes at once, a burst of those windows, which may be on any link; before it, if there are
+    other windows with a large torque, one of all of them. Else one for each link on which a push explains the torque.
+    With several logs, those of each training log by itself.
     """
     residual = robust_residual(experiment, theta, progress, "looking for contacts")
     if len(experiment.runs) == 1:
@@ -80,10 +81,19 @@ def _bursts_of_log(model: RobotModel, residual: RobustResidual, log: JointLog) -
     windows = _constant_windows(residual, float(log.t[-1] - log.t[0]))
     if not windows:
         return find_pushes(model, residual)
-    others = [window for window in map(partial(_high_part, residual), raised_windows(residual)) if window is not None]
-    apart = [(a, b) for a, b in others if all(b < begin or a > end for begin, end in windows)]
-    every = tuple(sorted([*windows, *apart]))
-    return (Burst(every), Burst(windows)) if apart else (Burst(windows),)
+    others = []
+    for raised in raised_windows(residual):
+        window = _high_part(residual, raised)
+        if window is not None and not any(_overlap(window, other) for other in windows):
+            others.append(window)
+    if not others:
+        return (Burst(windows),)
+    return Burst(tuple(sorted([*windows, *others]))), Burst(windows)
+
+
+def _overlap(a: tuple[float, float], b: tuple[float, float]) -> bool:
+    """True if two time intervals have a time in common."""
+    return a[0] <= b[1] and b[0] <= a[1]
 
 
 def _high_part(series: RobustResidual, window: slice) -> tuple[float, float] | None:
@@ -160,7 +170,7 @@ class _Segment:
 
     def _runs(self, raised: Mask) -> Iterator[slice]:
         """Runs of raised samples, with short gaps filled."""
-        edges = np.flatnonzero(np.diff(raised, prepend=False, append=False)).reshape(-1, 2)
+        edges = mask_runs(raised)
         if not len(edges):
             return
         is_gap = (edges[1:, 0] - edges[:-1, 1]) * self.dt >= _MIN_GAP

@@ -8,8 +8,8 @@ worse.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,17 +18,13 @@ from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.data.pairing import LogPair, align
 from idtool.diagnosis.diagnose import Options, diagnose
-from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.fitted_pair import ALL_BODIES, RIGID_BODY, FittedPair, GapLevel, TermKey, fitted_delay
 from idtool.diagnosis.records import Diagnosis
-from idtool.diagnosis.trial import FAILURES, fit_trial, has_fixed_inertia, with_effects
+from idtool.diagnosis.trial import with_effects
 from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.dynamics.mechanism import Mechanism
-from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
-from idtool.estimation.evaluation.rollouts import evaluate_rollouts
-from idtool.estimation.evaluation.torque_errors import evaluate
-from idtool.estimation.fit import Fit, fit
-from idtool.robot.config import EffectEntry, UncertainValue
+from idtool.robot.config import EffectEntry
 from idtool.robot.inertia import PI_SIZE, mass_com_inertia, symmetric_entries
 from idtool.robot.model import RobotModel
 
@@ -37,13 +33,8 @@ _INSIGNIFICANT = f"differs by less than {_MIN_SIGNIFICANCE:g} standard errors"
 _MIN_SHARE = 0.01  # of a joint's squared gap that a change must close
 _NEGLIGIBLE = 3e-3  # of a joint's torque, as its standard deviation: a smaller error does not matter
 _MAX_UNEXPLAINED = 0.05  # of a joint's rms torque that the simulator's model may leave
-_MAX_ITERATIONS = 3  # of the fit of nonlinear parameters
-_BODIES = "rigid_body"
 COMMAND_DELAY = "command_delay"
 _BODY_UNITS = {"mass": "kg", "com": "m", "inertia_com": "kg·m²"}
-
-TermKey = tuple[str, str, int]  # effect, what it acts on, number among several of a kind there
-_ALL_BODIES: TermKey = (_BODIES, "", 0)
 
 
 @dataclass(frozen=True)
@@ -69,13 +60,14 @@ class Quantity:
     @property
     def is_significant(self) -> bool:
         """True if the two differ by more than chance."""
-        pairs = zip(*map(_elements, (self.simulator, self.simulator_error, self.robot, self.robot_error)), strict=False)
-        for before, before_error, after, after_error in pairs:
-            if not isinstance(before, float | int) or not isinstance(after, float | int):
+        given = (self.simulator, self.simulator_error, self.robot, self.robot_error)
+        elements = zip(*(_elements(value) for value in given), strict=False)  # the error of a list may be one None
+        for simulator, simulator_error, robot, robot_error in elements:
+            if not isinstance(simulator, float | int) or not isinstance(robot, float | int):
                 continue
-            if before_error is None or after_error is None:
+            if simulator_error is None or robot_error is None:
                 continue
-            if abs(after - before) > _MIN_SIGNIFICANCE * np.hypot(before_error, after_error):
+            if abs(robot - simulator) > _MIN_SIGNIFICANCE * np.hypot(simulator_error, robot_error):
                 return True
         return False
 
@@ -109,22 +101,6 @@ class Change:
     quantities: Mapping[str, Quantity]
     share: float | None
     reason: str = ""
-
-
-@dataclass(frozen=True)
-class GapLevel:
-    """Errors of a model on the robot's logs.
-
-    Attributes
-    ----------
-    torque
-        RMS torque error by joint, and ``overall`` [N·m or N].
-    position
-        RMS position error of the rollouts [rad or m]; None if they were not simulated.
-    """
-
-    torque: Mapping[str, float]
-    position: Mapping[str, float] | None
 
 
 @dataclass(frozen=True)
@@ -176,24 +152,24 @@ def compare(measured: Experiment, simulated: Experiment, options: Options, progr
     """
     joints = measured.equation.joints
     runs = zip(measured.runs, simulated.runs, strict=False)  # logs for validation alone have no partner
-    pairs = [align(run.signals.log, other.signals.log, joints) for run, other in runs]
+    log_pairs = [align(run.signals.log, other.signals.log, joints) for run, other in runs]
 
     simulator_options = replace(options, inertia="fixed", assumed=(), simulate=False)
     simulator = diagnose(simulated, simulator_options, _prefixed(progress, "simulator"))
-    started = _with_further_effects(measured, _linear_entries(simulator))
-    robot = diagnose(started, options, _prefixed(progress, "robot"))
+    with_simulator_effects = _with_further_effects(measured, _linear_entries(simulator))
+    robot = diagnose(with_simulator_effects, options, _prefixed(progress, "robot"))
 
-    sides = _Sides(simulator, robot, _prefixed(progress, "comparison"))
-    changes, made = _changes(sides)
+    pair = FittedPair(simulator.last, robot.last, _prefixed(progress, "comparison"))
+    changes, made = _changes(pair)
     return Comparison(
         simulated=simulator,
         measured=robot,
-        pairs=tuple(pairs),
+        pairs=tuple(log_pairs),
         changes=tuple(change for change in changes if not change.reason),
         unchanged=tuple(change for change in changes if change.reason),
-        before=sides.gap_level((), options.simulate),
-        after=sides.gap_level(made, options.simulate),
-        notices=(*_pair_notices(pairs), *_simulator_notices(simulator)),
+        before=pair.gap_level((), options.simulate),
+        after=pair.gap_level(made, options.simulate),
+        notices=(*_pair_notices(log_pairs), *_simulator_notices(simulator)),
     )
 
 
@@ -223,205 +199,24 @@ def _with_further_effects(experiment: Experiment, entries: Sequence[EffectEntry]
     return with_effects(experiment, [*configured, *more]) if more else experiment
 
 
-@dataclass(frozen=True)
-class _Term:
-    """An effect of a fitted model.
-
-    Attributes
-    ----------
-    effect
-        The effect.
-    entry
-        Its entry in the configuration; None for one under ``friction``.
-    theta, covariance
-        Its coefficients, shape (m,), and the covariance of their errors, shape (m, m).
-    """
-
-    effect: NamedEffect
-    entry: EffectEntry | None
-    theta: Array
-    covariance: Array
-
-    def parameters(self) -> dict[str, tuple[Any, Any]]:
-        """Values and standard errors by name."""
-        values: dict[str, tuple[Any, Any]] = {}
-        if self.entry is not None:
-            for name, value in self.entry.values.items():
-                values[name] = (value, _configured_error(self.entry.parameters[name]))
-        values.update(self.effect.parameters(self.theta, self.covariance))
-        return values
-
-
-def _configured_error(given: Any) -> Any:
-    """Standard error of a configuration's parameter; None if it has none."""
-    if isinstance(given, list):
-        return [_configured_error(x) for x in given]
-    return given.get("standard_error") if isinstance(given, Mapping) else None
-
-
-def _terms(fitted: Fit) -> dict[TermKey, _Term]:
-    """Effects of a fitted model besides the bodies."""
-    experiment = fitted.experiment
-    equation = experiment.equation
-    entries = {effect_from_entry(entry, experiment.model).key: entry for entry in experiment.config.effects}
-    offsets = equation.offsets()
-    terms: dict[TermKey, _Term] = {}
-    for effect, start, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
-        if not isinstance(effect, NamedEffect):
-            continue
-        part = slice(start, end)
-        term = _Term(
-            effect, entries.get(effect.key), fitted.estimate.theta[part], fitted.uncertainty.covariance[part, part]
-        )
-        owner = str(effect.key[1]) if len(effect.key) > 1 else ""
-        number = 0
-        while (effect.id, owner, number) in terms:
-            number += 1
-        terms[effect.id, owner, number] = term
-    return terms
-
-
-def _with_fitted_values(experiment: Experiment, moving: Sequence[int], progress: Progress) -> Experiment:
-    """The experiment with the nonlinear parameters of some of its effects fitted, with their standard errors."""
-    if not moving:
-        return experiment
-    entries = experiment.config.effects
-    trial = fit_trial(linearize_fit(experiment, progress), entries, moving, progress, _MAX_ITERATIONS)
-    fitted = list(trial.entries)
-    for (i, name), error in trial.errors.items():
-        value = {"value": fitted[i].values[name], "standard_error": error}
-        fitted[i] = fitted[i].model_copy(update={"parameters": {**fitted[i].parameters, name: value}})
-    return with_effects(experiment, fitted, trial.linearized.theta)
-
-
-@dataclass
-class _Sides:
-    """The fitted models of simulator and robot, effect by effect.
-
-    Attributes
-    ----------
-    simulator, robot
-        Diagnoses.
-    simulator_fit, robot_fit
-        Their fits, each with the effects of both.
-    simulator_terms, robot_terms
-        Effects of these fits.
-    progress
-        Callback for the stage and its progress, from 0 to 1.
-    """
-
-    simulator: Diagnosis
-    robot: Diagnosis
-    progress: Progress
-    simulator_terms: dict[TermKey, _Term] = field(init=False)
-    robot_terms: dict[TermKey, _Term] = field(init=False)
-    simulator_fit: Fit = field(init=False)
-    robot_fit: Fit = field(init=False)
-
-    def __post_init__(self) -> None:
-        simulator = _with_refitted_delay(self.simulator.last, self.progress)
-        robot = _with_refitted_delay(self.robot.last, self.progress)
-        self.simulator_fit = self._with_effects_of(simulator, robot)
-        self.robot_fit = self._with_effects_of(robot, simulator)
-        self.simulator_terms = _terms(self.simulator_fit)
-        self.robot_terms = _terms(self.robot_fit)
-
-    def _with_effects_of(self, own: Fit, other: Fit) -> Fit:
-        """A fit with the effects of another besides its own: those with coefficients, and those that every log has."""
-        own_terms = _terms(own)
-        entries = list(own.experiment.config.effects)
-        moving = []
-        for key, term in _terms(other).items():
-            if key in own_terms or term.entry is None:
-                continue
-            background = term.effect.background_entry()
-            if background is not None:
-                moving.append(len(entries))
-                entries.append(term.entry.model_copy(update={"parameters": background.parameters}))
-            elif len(term.theta):
-                entries.append(term.entry)
-        if len(entries) == len(own.experiment.config.effects):
-            return own
-        try:
-            experiment = with_effects(own.experiment, entries, own.estimate.theta)
-            return fit(_with_fitted_values(experiment, moving, self.progress), self.progress)
-        except FAILURES:  # these data cannot tell them
-            return own
-
-    @property
-    def keys(self) -> list[TermKey]:
-        """Effects of both, and the bodies if the robot's were identified."""
-        keys = list(dict.fromkeys([*self.simulator_terms, *self.robot_terms]))
-        return keys if has_fixed_inertia(self.robot_fit.experiment) else [*keys, _ALL_BODIES]
-
-    def variant(self, from_robot: Collection[TermKey]) -> tuple[Experiment, Array]:
-        """The simulator's model on the robot's logs, and its coefficients.
-
-        Parameters
-        ----------
-        from_robot
-            Effects that are as the robot has them.
-        """
-        terms = []
-        for key in self.keys:
-            term = (self.robot_terms if key in from_robot else self.simulator_terms).get(key)
-            if term is not None:
-                terms.append(term)
-        entries = [term.entry for term in terms if term.entry is not None]
-        fitted = self.robot_fit
-        experiment = with_effects(fitted.experiment, entries, fitted.estimate.theta)
-        equation = experiment.equation
-        theta = equation.prior.copy()
-        values = {term.effect.key: term.theta for term in terms}
-        offsets = equation.offsets()
-        for effect, start, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
-            if isinstance(effect, NamedEffect):
-                theta[start:end] = values[effect.key]
-            elif _ALL_BODIES in from_robot:
-                theta[start:end] = fitted.estimate.theta[start:end]
-        if equation.depends_on_parameters:
-            experiment = replace(experiment, equation=equation.linearized_at(theta))
-        return experiment, theta
-
-    def squared_errors(self, from_robot: Collection[TermKey]) -> Array:
-        """Mean squared torque error of `variant` on the robot's logs, shape (nv,) [(N·m)² or N²]."""
-        experiment, theta = self.variant(from_robot)
-        evaluation = evaluate(experiment, {"model": theta}, self.robot_fit.has_held_out, self.progress)
-        errors = evaluation.errors["model"]
-        return np.asarray(errors.sum_squares_in_band / max(errors.samples, 1))
-
-    def gap_level(self, from_robot: Collection[TermKey], simulate: bool) -> GapLevel:
-        """Errors of `variant` on the robot's logs."""
-        squares = self.squared_errors(from_robot)
-        joints = self.robot_fit.experiment.equation.joints
-        torque = dict(zip(joints, np.sqrt(squares).tolist(), strict=True))
-        torque["overall"] = float(np.sqrt(squares.mean()))
-        position = None
-        if simulate:
-            experiment, theta = self.variant(from_robot)
-            rollouts = evaluate_rollouts(experiment, {"model": theta}, self.robot_fit.has_held_out, self.progress)
-            if "model" in rollouts.errors:
-                position = rollouts.errors["model"].rmse(joints, "position")
-        return GapLevel(torque, position)
-
-
-def _changes(sides: _Sides) -> tuple[list[Change], list[TermKey]]:
+def _changes(pair: FittedPair) -> tuple[list[Change], list[TermKey]]:
     """All differences, those to be made first and the largest share first; and the effects that are to be changed."""
-    differing: dict[TermKey, list[Change]] = {}
+    differences: dict[TermKey, list[Change]] = {}  # a change of all bodies is one of each of them
     significant = []
-    for key in sides.keys:
-        if key == _ALL_BODIES:
-            differing[key] = _bodies_changes(sides)
-            is_significant = _bodies_differ(sides)
+    for key in pair.keys:
+        if key == ALL_BODIES:
+            differences[key] = _bodies_changes(pair)
+            is_significant = _bodies_differ(pair)
         else:
-            differing[key] = [_change(sides, key)]
-            is_significant = _is_significant(differing[key][0])
+            change = _change(pair, key)
+            differences[key] = [change]
+            is_significant = _is_significant(change)
         if is_significant:
             significant.append(key)
-    shares, reasons = _gap_shares(sides, significant)
+    shares, reasons = _gap_shares(pair, significant)
 
-    changes = list(_delay_changes(sides))
-    for key, own in differing.items():
+    changes = list(_delay_changes(pair))
+    for key, own in differences.items():
         share = shares.get(key, 0.0)
         reason = reasons.get(key, _INSIGNIFICANT)
         changes += [replace(change, share=share, reason=reason) for change in own]
@@ -429,74 +224,44 @@ def _changes(sides: _Sides) -> tuple[list[Change], list[TermKey]]:
     return changes, [key for key in significant if not reasons[key]]
 
 
-def _gap_shares(sides: _Sides, significant: Sequence[TermKey]) -> tuple[dict[TermKey, float], dict[TermKey, str]]:
+def _gap_shares(pair: FittedPair, significant: Sequence[TermKey]) -> tuple[dict[TermKey, float], dict[TermKey, str]]:
     """Shares of the gap between simulator and robot that significant differences close.
 
     Returns
     -------
     The share of each difference, and the reason why it needs no change in the simulator; empty if it needs one.
     """
-    joints = sides.robot_fit.experiment.equation.joints
-    torque_std = np.array([sides.robot_fit.evaluation.torque_std[name] for name in joints])
+    joints = pair.robot_fit.experiment.equation.joints
+    torque_std = np.array([pair.robot_fit.evaluation.torque_std[name] for name in joints])
     weights = 1 / np.maximum(torque_std, 1e-12) ** 2
-    before = sides.squared_errors(())
-    after = sides.squared_errors(significant)
-    smallest = np.maximum(_MIN_SHARE * before, (_NEGLIGIBLE * torque_std) ** 2)
+    before = pair.mean_squared_errors(())
+    after = pair.mean_squared_errors(significant)
+    least_change = np.maximum(_MIN_SHARE * before, (_NEGLIGIBLE * torque_std) ** 2)
     gap = float(weights @ (before - after))
     shares: dict[TermKey, float] = {}
     reasons: dict[TermKey, str] = {}
     for key in significant:
-        reopened = sides.squared_errors([other for other in significant if other != key]) - after
+        others = [other for other in significant if other != key]
+        reopened = pair.mean_squared_errors(others) - after
         shares[key] = float(weights @ reopened) / gap if gap > 0 else 0.0
-        reasons[key] = "" if (reopened > smallest).any() else "hardly changes the torque"
+        reasons[key] = "" if (reopened > least_change).any() else "hardly changes the torque"
     made = [key for key in significant if not reasons[key]]
-    if made and weights @ sides.squared_errors(made) > (1 - _MIN_SHARE) * (weights @ before):
+    if made and weights @ pair.mean_squared_errors(made) > (1 - _MIN_SHARE) * (weights @ before):
         for key in made:
             shares[key] = 0.0
             reasons[key] = "does not reduce the torque error together with the other changes"
     return shares, reasons
 
 
-def _delay_changes(sides: _Sides) -> Iterator[Change]:
-    """The delay from command to torque, if it was fitted on both sides."""
-    simulator, robot = _fitted_delay(sides.simulator_fit), _fitted_delay(sides.robot_fit)
+def _delay_changes(pair: FittedPair) -> Iterator[Change]:
+    """The delay from command to torque, if it was fitted on both pair."""
+    simulator = fitted_delay(pair.simulator_fit)
+    robot = fitted_delay(pair.robot_fit)
     if simulator is None or robot is None:
         return
     quantity = Quantity(simulator.value, simulator.standard_error, robot.value, robot.standard_error, "s")
     reason = "" if quantity.is_significant else _INSIGNIFICANT
     yield Change(COMMAND_DELAY, None, None, {"delay": quantity}, None, reason)
-
-
-def _fitted_delay(fitted: Fit) -> UncertainValue | None:
-    """The delay from command to torque; None if none was fitted."""
-    controller = fitted.experiment.config.controller
-    delay = controller.known_delay if controller else None
-    return None if delay is None or delay.standard_error is None else delay
-
-
-def _with_refitted_delay(fitted: Fit, progress: Progress) -> Fit:
-    """A fit with the delay from command to torque fitted again: a diagnosis fits it before it finds the effects.
-
-    A delay of the torque, by which the diagnosis corrects the first one, is left out.
-    """
-    experiment = fitted.experiment
-    controller = experiment.config.controller
-    if controller is None or _fitted_delay(fitted) is None:
-        return fitted
-    entries = [entry for entry in experiment.config.effects if not _delays_torque(entry, experiment.model)]
-    experiment = with_effects(experiment, entries, fitted.estimate.theta)
-    unknown = controller.model_copy(update={"delay": "auto"})
-    config = experiment.config.model_copy(update={"controller": unknown})
-    experiment, _, _ = with_delay(replace(experiment, config=config), progress)
-    return fit(experiment, progress)
-
-
-def _delays_torque(entry: EffectEntry, model: RobotModel) -> bool:
-    """True for an effect that delays the torque."""
-    effect = effect_from_entry(entry, model)
-    mechanism = Mechanism(model)
-    effect.add_to_forward_model(np.array([c.prior for c in effect.coefficients]), mechanism)
-    return bool(mechanism.torque_delay.any())
 
 
 def _is_significant(change: Change) -> bool:
@@ -506,14 +271,15 @@ def _is_significant(change: Change) -> bool:
     return is_absent or any(quantity.is_significant for quantity in quantities)
 
 
-def _change(sides: _Sides, key: TermKey) -> Change:
-    """An effect on both sides."""
-    before, after = sides.simulator_terms.get(key), sides.robot_terms.get(key)
-    term = after or before
+def _change(pair: FittedPair, key: TermKey) -> Change:
+    """An effect on both pair."""
+    simulator_term = pair.simulator_terms.get(key)
+    robot_term = pair.robot_terms.get(key)
+    term = robot_term or simulator_term
     if term is None:
         raise AssertionError  # keys are those of the two
-    simulator = before.parameters() if before else {}
-    robot = after.parameters() if after else {}
+    simulator = simulator_term.parameters() if simulator_term else {}
+    robot = robot_term.parameters() if robot_term else {}
     units = term.effect.parameter_units()
     quantities = {}
     for name in robot or simulator:
@@ -525,9 +291,9 @@ def _change(sides: _Sides, key: TermKey) -> Change:
     return Change(term.effect.id, term.entry.joint, term.entry.link, quantities, 0.0)
 
 
-def _bodies_changes(sides: _Sides) -> list[Change]:
+def _bodies_changes(pair: FittedPair) -> list[Change]:
     """The inertia of every link and rotor."""
-    fitted = sides.robot_fit
+    fitted = pair.robot_fit
     changes = []
     for i, body in enumerate(fitted.experiment.model.bodies):
         mass_error = float(fitted.uncertainty.standard_error[PI_SIZE * i])
@@ -538,13 +304,13 @@ def _bodies_changes(sides: _Sides) -> list[Change]:
         for name, unit in _BODY_UNITS.items():
             before_error, after_error = errors.get(name, (None, None))
             quantities[name] = Quantity(simulator[name], before_error, robot[name], after_error, unit)
-        changes.append(Change(_BODIES, None, body.name, quantities, 0.0))
+        changes.append(Change(RIGID_BODY, None, body.name, quantities, 0.0))
     return changes
 
 
-def _bodies_differ(sides: _Sides) -> bool:
+def _bodies_differ(pair: FittedPair) -> bool:
     """True if a parameter of a body differs significantly from the URDF's."""
-    fitted = sides.robot_fit
+    fitted = pair.robot_fit
     count = PI_SIZE * len(fitted.experiment.model.bodies)
     errors = fitted.uncertainty.standard_error[:count]
     difference = fitted.estimate.theta[:count] - fitted.experiment.equation.prior[:count]

@@ -15,7 +15,7 @@ from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import PartEstimate
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, parameter_value
-from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
+from idtool.dynamics.effects import effect_types
 from idtool.estimation.dataset.experiment import Experiment, Progress, split_ranges
 from idtool.robot.config import EffectEntry
 
@@ -34,7 +34,7 @@ def estimate_on_parts(
     current
         The model.
     entries
-        Its effects that are to be confirmed, as they are in it.
+        Entries of the effects that are to be confirmed, as in the model.
     inflation
         Number of rows that are worth one independent one.
     progress
@@ -45,8 +45,7 @@ def estimate_on_parts(
     For each entry, the parts on which its size could be estimated.
     """
     all_entries = current.experiment.config.effects
-    positions = {id(entry): i for i, entry in enumerate(all_entries)}
-    indices = [positions[id(entry)] for entry in entries]
+    indices = [all_entries.index(entry) for entry in entries]
     estimates: list[list[PartEstimate]] = [[] for _ in entries]
     for name, part in _parts(current.experiment):
         try:
@@ -71,12 +70,14 @@ def contradiction(estimates: Sequence[PartEstimate]) -> str:
 
 
 def _text(estimate: PartEstimate) -> str:
-    preposition = "on" if estimate.part.endswith("half") else "in"
-    part = f"the {estimate.part} of the log" if estimate.part.endswith("half") else estimate.part
-    return f"{estimate.value:.3g} ± {estimate.standard_error:.2g} {preposition} {part}"
+    """Size with its standard error, and where it was estimated."""
+    is_half = estimate.part.endswith("half")
+    place = f"on the {estimate.part} of the log" if is_half else f"in {estimate.part}"
+    return f"{estimate.value:.3g} ± {estimate.standard_error:.2g} {place}"
 
 
 def _agree(a: PartEstimate, b: PartEstimate) -> bool:
+    """True if two estimates of a size differ by no more than chance, or by little."""
     difference = abs(a.value - b.value)
     chance = _MAX_DIFFERENCE * float(np.hypot(a.standard_error, b.standard_error))
     return difference <= max(chance, _SAME_SIZE * max(abs(a.value), abs(b.value)))
@@ -105,8 +106,7 @@ def _size(trial: TrialFit, index: int, inflation: float) -> tuple[str, float, fl
     """
     linearized = trial.linearized
     entry = trial.entries[index]
-    linear = _linear_parameters(linearized, entry, inflation)
-    for name, (value, error) in linear.items():
+    for name, (value, error) in linear_parameters(linearized, entry, inflation).items():
         if error is not None and np.isfinite(error):
             return name, value, error
     for name in effect_types()[entry.effect].gradient_parameters():
@@ -117,31 +117,29 @@ def _size(trial: TrialFit, index: int, inflation: float) -> tuple[str, float, fl
     return None
 
 
-def _linear_parameters(
+def linear_parameters(
     linearized: LinearizedFit, entry: EffectEntry, inflation: float
 ) -> dict[str, tuple[float, float | None]]:
-    """Linear parameters of an effect with their standard errors, by name."""
-    equation = linearized.experiment.equation
-    key = effect_from_entry(entry, linearized.experiment.model).key
-    offsets = equation.offsets()
-    for effect, first, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
-        if isinstance(effect, NamedEffect) and effect.key == key and end > first:
-            covariance = coefficient_covariance(linearized, slice(first, end), inflation)
-            return effect.parameters(linearized.estimate.theta[first:end], covariance)
-    return {}
-
-
-def coefficient_covariance(linearized: LinearizedFit, coefficients: slice, inflation: float) -> Array:
-    """Covariance of some coefficients of a model, shape (m, m).
+    """Values and standard errors of an effect's linear parameters, by name.
 
     Parameters
     ----------
     linearized
         The model.
-    coefficients
-        Indices of the m coefficients among its p.
+    entry
+        Configuration entry of the effect.
     inflation
         Number of rows that are worth one independent one.
     """
+    found = linearized.find_effect(entry)
+    if found is None:
+        return {}
+    effect, part = found
+    covariance = _coefficient_covariance(linearized, part, inflation)
+    return effect.parameters(linearized.estimate.theta[part], covariance)
+
+
+def _coefficient_covariance(linearized: LinearizedFit, coefficients: slice, inflation: float) -> Array:
+    """Covariance of m coefficients of a model, which are given by their range, shape (m, m)."""
     directions = linearized.directions[coefficients]
     return np.asarray(inflation * directions @ np.linalg.solve(linearized.information, directions.T))

@@ -13,6 +13,7 @@ from idtool.diagnosis.trial import with_effects
 from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.named_effect import Cause
+from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 
@@ -45,11 +46,8 @@ def effect_profile(
         Callback for the stage and its progress, from 0 to 1.
     """
     effect = effect_from_entry(entry, after.model)
-    others = [other for other in after.config.effects if effect_from_entry(other, after.model).key != effect.key]
-    without = with_effects(after, others, theta_after).equation
-    coefficients = {c.key: x for c, x in zip(after.equation.coefficients, theta_after, strict=True)}
-    theta_without = np.array([coefficients[c.key] for c in without.coefficients])
-    models = [(before.equation, theta_before), (without, theta_without), (after.equation, theta_after)]
+    without = _without_effect(effect, after, theta_after)
+    models = [(before.equation, theta_before), without, (after.equation, theta_after)]
     series = residual_series(before, models, progress, "mapping the explained residual")
 
     joints = after.equation.joints
@@ -78,6 +76,14 @@ def effect_profile(
         deviation_after=deviation[1],
         effect_torque=effect_torque,
     )
+
+
+def _without_effect(effect: NamedEffect, after: Experiment, theta: Array) -> tuple[LinearModel, Array]:
+    """Torque equation without an effect, and its coefficients: all others as they are with it."""
+    others = [other for other in after.config.effects if effect_from_entry(other, after.model).key != effect.key]
+    equation = with_effects(after, others, theta).equation
+    values = {c.key: x for c, x in zip(after.equation.coefficients, theta, strict=True)}
+    return equation, np.array([values[c.key] for c in equation.coefficients])
 
 
 def _most_improved_joint(series: ResidualSeries) -> int:
@@ -126,14 +132,14 @@ def _binned_torques(cause: Cause, values: Array, torques: Array, valid: Mask) ->
     """
     x = values[valid]
     edges = _edges(cause, x)
-    _, at, _ = bin_means(x, edges, x)
+    _, mean_cause, _ = bin_means(x, edges, x)
     means = []
     deviations = []
     for torque in torques[:, valid]:
         _, mean, rms = bin_means(x, edges, torque)
         means.append(mean)
         deviations.append(np.sqrt(np.maximum(np.square(rms) - np.square(mean), 0.0)))
-    return at, np.array(means), np.array(deviations)
+    return mean_cause, np.array(means), np.array(deviations)
 
 
 def _edges(cause: Cause, x: Array) -> Array:

@@ -9,9 +9,6 @@ import time
 from collections.abc import Sequence
 from itertools import combinations
 
-import numpy as np
-
-from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.bursts import find_bursts
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
@@ -29,6 +26,8 @@ from idtool.diagnosis.model_selection import (
     probe_key,
     probe_target,
 )
+from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN, joints_clearer_away_from_reversals
+from idtool.diagnosis.screen import sum_standard_error
 from idtool.diagnosis.selection_round import (
     MIN_PARAMETER_SIGNIFICANCE,
     Bursts,
@@ -43,14 +42,9 @@ from idtool.dynamics.effects import effect_types
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 
-REVERSAL_MARGIN = 0.04  # s from reversals
-# Rows near reversals are excluded if that multiplies a joint's information by the first factor, which halves its
-# standard errors, and leaves every joint at least the second.
-_MIN_INFORMATION_GAIN = 4.0
-_MIN_INFORMATION_LEFT = 0.5
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
 _MAX_REPLACEMENTS = 3
-_SURE_CHANGE = 2.0  # standard errors by which a model must be better to replace another
+_MIN_REPLACEMENT_GAIN = 2.0  # standard errors by which a model must be better to replace another
 
 
 class _TimeLimitError(Exception):
@@ -65,11 +59,11 @@ class EffectSearch:
     model
         The model so far.
     initial
-        The model before any effect was added, with the background effects.
+        The model before any effect was added, with the background effect.
     removed
         Effects that were removed again, a plain sentence each.
     last_round
-        The round that found nothing more.
+        The latest round in which effects were added, at the end the one that found nothing more; None before the first.
     reversal_joints
         Joints whose friction does not follow its law near reversals. Their rms residual with and without the rows near
         reversals [N·m or N], which are then excluded.
@@ -150,7 +144,8 @@ class EffectSearch:
             If the model cannot have it.
         """
         selection = fit_assumed_effect(self.current, self.progress, effect, target, self._bursts())
-        if selection.winner is None or self._add(selection, selection.winner, is_assumed=True):
+        is_added = selection.winner is not None and not self._try_add(selection, selection.winner, is_assumed=True)
+        if not is_added:
             what = f"{effect}:{target or 'any joint'} cannot be added"
             raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
         self._keep_as_complete()
@@ -178,7 +173,7 @@ class EffectSearch:
         self.removed = list(removed)
         try:
             self.model.settle()
-        except FAILURES:  # it remains as the search had it
+        except FAILURES:  # keep it as it was fitted during the search
             self.model.restore(state)
 
     def _keep_as_complete(self) -> None:
@@ -186,24 +181,23 @@ class EffectSearch:
         self._complete = self.model.state(), tuple(self.removed)
 
     def _run(self) -> None:
-        """Add effects until none is worthwhile.
+        """Add effects until none is worthwhile, replace and remove those that turn out wrong, and fit the rest.
 
-        Near a reversal, the friction of real robots does not follow Coulomb's law, and simulators smooth the sign. This
-        residual must not hide smaller effects. So if the residual is much smaller away from reversals, those that act
-        there, such as Stribeck friction, are searched first, and must explain most of the residual. If it is still
-        large near reversals, the others are searched away from them, and those that act there once more. If it is still
-        large after that, the rows near reversals are excluded for the rest of the search.
+        A large residual near reversals must not hide smaller effects, see `reversal_rows`. Where there is one, effects
+        that act there, such as Stribeck friction, are searched first, and must explain most of it. If that is not
+        enough, the others are searched away from reversals, and those that act there once more. If that is not enough
+        either, the rows near reversals are excluded for the rest of the search.
         """
-        if self._joints_clearer_away_from_reversals():
-            self._add_effects(_REVERSAL_SHARE)
-        if self._joints_clearer_away_from_reversals():
+        if joints_clearer_away_from_reversals(self.current, self.progress):
+            self._add_reversal_effects()
+        if joints_clearer_away_from_reversals(self.current, self.progress):
             self.model.set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
             self.model.set_reversal_margin(0.0)
-            self._add_effects(_REVERSAL_SHARE)
+            self._add_reversal_effects()
         else:
             self._add_effects()
-        self.reversal_joints = self._joints_clearer_away_from_reversals()
+        self.reversal_joints = joints_clearer_away_from_reversals(self.current, self.progress)
         if self.reversal_joints:
             self.model.set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
@@ -215,7 +209,7 @@ class EffectSearch:
     def remove(self, effect: AddedEffect, reason: str) -> None:
         """Remove an effect for a reason, a clause of a sentence."""
         before = self.model.state()
-        self.model.added = [other for other in self.added if other is not effect]
+        self.model.drop([effect])
         try:
             self.model.try_refit()
         except KeyboardInterrupt:
@@ -225,40 +219,35 @@ class EffectSearch:
 
     def move_to_end(self, effect: AddedEffect) -> None:
         """Report an effect after all others."""
-        self.model.added = [*(other for other in self.added if other is not effect), effect]
+        self.model.drop([effect])
+        self.model.added.append(effect)
 
     def remove_failed(self, effect: AddedEffect, failure: Exception) -> None:
         """Remove an effect with which the whole model cannot be fitted."""
-        self.model.added = [other for other in self.added if other is not effect]
+        self.model.drop([effect])
         self.failed[effect.chosen.effect, effect.chosen.target] = not_fitted_reason(failure)
         self.model.try_refit()
 
-    def _joints_clearer_away_from_reversals(self) -> dict[str, tuple[float, float]]:
-        """Joints with much more information without the rows near reversals; none if another joint loses too much.
+    def _add_effects(self) -> None:
+        """Add effects of all kinds."""
+        self._add_in_rounds(self._effects, MIN_SHARE)
 
-        Returns
-        -------
-        Their rms residual with and without these rows [N·m or N].
+    def _add_reversal_effects(self) -> None:
+        """Add effects that act at reversals and explain most of the residual."""
+        self._add_in_rounds(self._reversal_effects(), _REVERSAL_SHARE)
+
+    def _add_in_rounds(self, effects: Sequence[str] | None, min_share: float) -> None:
+        """Add effects in rounds, until no candidate is worthwhile or a set of effects recurs.
+
+        Parameters
+        ----------
+        effects
+            Ids of the effects to try; None: all.
+        min_share
+            Share of a joint's squared residual that an effect must explain.
         """
-        try:
-            away = linearize_fit(self.current.experiment, self.progress, reversal_margin=REVERSAL_MARGIN)
-        except FAILURES:
-            return {}
-        information = _information(self.current)
-        information_away = _information(away)
-        if (information_away < _MIN_INFORMATION_LEFT * information).any():
-            return {}
-        is_clearer = information_away > _MIN_INFORMATION_GAIN * information
-        rms = _rms_residual(self.current)
-        rms_away = _rms_residual(away)
-        joints = away.experiment.equation.joints
-        return {joints[j]: (float(rms[j]), float(rms_away[j])) for j in np.flatnonzero(is_clearer)}
-
-    def _add_effects(self, min_share: float = MIN_SHARE) -> None:
-        """Add effects in rounds, until no candidate is worthwhile or a set of effects recurs."""
         earlier: set[tuple[tuple[str, str], ...]] = set()
         while len(self.reported) < self._max_effects:
-            effects = self._effects if min_share == MIN_SHARE else self._reversal_effects()
             skipped = self._refused | self._superseded
             selection = find_best_effect(
                 self.current, self.initial, self.progress, effects, self._bursts(), min_share, skipped
@@ -268,38 +257,52 @@ class EffectSearch:
                 self.failed[candidate.effect, candidate.target] = candidate.reason
             if selection.winner is None:
                 break
-            if reason := self._add(selection, selection.winner):
+            reason = self._try_add(selection, selection.winner)
+            if reason:
                 self._refuse(selection.winner, reason)
                 continue
             self._refused.clear()  # beside this effect, another one may be better
             self._prune()
             self._keep_as_complete()
-            state = tuple(sorted((effect.chosen.effect, effect.chosen.target) for effect in self.added))
-            if state in earlier:
+            present = tuple(sorted((effect.chosen.effect, effect.chosen.target) for effect in self.added))
+            if present in earlier:
                 break
-            earlier.add(state)
+            earlier.add(present)
 
     def _reversal_effects(self) -> tuple[str, ...]:
         """Ids of the effects to try that act at reversals."""
         ids = []
         for id, kind in effect_types().items():
-            if (kind.is_friction or kind.acts_at_reversals) and (self._effects is None or id in self._effects):
+            is_tried = self._effects is None or id in self._effects
+            if is_tried and (kind.is_friction or kind.acts_at_reversals):
                 ids.append(id)
         return tuple(ids)
 
     def _bursts(self) -> Bursts:
         """Time intervals with an unusually large residual, in logs in which no effect explains them yet."""
-        explained = set()
+        explained_logs = set()
         for effect in self.added:
             if effect_types()[effect.chosen.effect].acts_in_bursts:
-                explained.add(effect.entry.parameters.get("log", ""))
-        if "" in explained:
+                explained_logs.add(effect.entry.parameters.get("log", ""))
+        if "" in explained_logs:  # an effect without a log acts in all of them
             return ()
         bursts = find_bursts(self.current.experiment, self.current.estimate.theta, self.progress)
-        return tuple(burst for burst in bursts if burst.log not in explained)
+        return tuple(burst for burst in bursts if burst.log not in explained_logs)
 
-    def _add(self, selection: SelectionStep, winner: FittedCandidate, is_assumed: bool = False) -> str:
-        """Add an effect; the reason why it cannot be, empty if it was. An assumed one need not explain anything."""
+    def _try_add(self, selection: SelectionStep, winner: FittedCandidate, is_assumed: bool = False) -> str:
+        """Add the winner of a round, unless the model cannot be fitted with it or is worse on the held-out data.
+
+        Parameters
+        ----------
+        selection, winner
+            The round, and its winner.
+        is_assumed
+            True if the model may be worse with it.
+
+        Returns
+        -------
+        Reason why it was not added; empty if it was.
+        """
         before = self.model.state()
         self.added.append(AddedEffect(winner.trial.entries[-1], selection, fitted_record(winner, self.current)))
         failure = self.model.try_refit()
@@ -321,10 +324,14 @@ class EffectSearch:
     def _replace_effects(self) -> None:
         """Replace effects that turn out, beside those found later, to explain less than another one.
 
-        One effect at a time is left out and searched for again; then two at a time, for which a single one may stand.
+        One effect at a time is left out, and the best one in its place searched for; then two at a time, which may
+        together stand for a single one.
         """
         for _ in range(_MAX_REPLACEMENTS):
-            if len(self.reported) < 2 or not (self._replace_one() or self._replace_two()):
+            if len(self.reported) < 2:
+                return
+            is_replaced = self._replace_one() or self._replace_two()
+            if not is_replaced:
                 return
 
     def _replace_one(self) -> bool:
@@ -347,9 +354,9 @@ class EffectSearch:
         return True
 
     def _add_in_place_of(self, replaced: Sequence[AddedEffect]) -> bool:
-        """Add another effect in place of some; False if none is better, and the model has to be restored."""
+        """Add another effect in place of some; False if none is better, and the caller has to restore the model."""
         before = self.current
-        self.model.added = [effect for effect in self.added if effect not in replaced]
+        self.model.drop(replaced)
         if self.model.try_refit():
             return False
         without = self.current
@@ -360,34 +367,35 @@ class EffectSearch:
         except FAILURES:
             return False
         winner = selection.winner
-        known = {(effect.chosen.effect, effect.chosen.target) for effect in replaced}
-        if winner is None or probe_target(winner.probe) in known or not is_reportable(winner.probe.effect):
+        if winner is None or not is_reportable(winner.probe.effect):
             return False
-        if self._add(selection, winner):
+        if probe_target(winner.probe) in {(effect.chosen.effect, effect.chosen.target) for effect in replaced}:
+            return False
+        if self._try_add(selection, winner):
             return False
         return self._explains_more(before, without, is_simpler=len(replaced) > 1)
 
     def _explains_more(self, before: LinearizedFit, without: LinearizedFit, is_simpler: bool) -> bool:
-        """True if the present model explains more than another one, or if it is simpler, as much.
+        """True if the present model explains significantly more than another one; if simpler, not significantly less.
 
         Parameters
         ----------
         before
             The other model.
         without
-            The model without the effects in which the two differ.
+            The model without the effects in which the two differ: they are compared on its rows and in its units.
         is_simpler
             True if the present model has fewer effects.
         """
         try:
-            now = linearize_fit(self.current.experiment, self.progress, without)
-            then = linearize_fit(before.experiment, self.progress, without)
+            present = linearize_fit(self.current.experiment, self.progress, without)
+            other = linearize_fit(before.experiment, self.progress, without)
         except FAILURES:
             return False
-        gains = block_gains(then, now)
-        chance = _SURE_CHANGE * float(np.sqrt(len(gains)) * gains.std(ddof=1))
-        total = float(gains.sum())
-        return total > -chance if is_simpler else total > chance
+        gains = block_gains(other, present)
+        gain = float(gains.sum())
+        significant = _MIN_REPLACEMENT_GAIN * sum_standard_error(gains)
+        return gain > -significant if is_simpler else gain > significant
 
     def _remove_unproven(self) -> None:
         """Remove effects that explain little beside the others, unless they bring their joints to the noise floor."""
@@ -397,7 +405,7 @@ class EffectSearch:
                 return
             effect = self.reported[weakest]
             before = self.model.state()
-            self.model.added = [other for other in self.added if other is not effect]
+            self.model.drop([effect])
             if self.model.try_refit():
                 self.model.restore(before)
                 return
@@ -407,7 +415,7 @@ class EffectSearch:
     def _prune(self) -> None:
         """Remove effects that are no longer worthwhile, except the newest."""
         i = 0
-        while len(self.added) > 1 and i < len(self.added) - 1:
+        while i < len(self.added) - 1:
             others = [effect.entry for k, effect in enumerate(self.added) if k != i]
             if self._is_needed(self.added[i], [*self.model.given, *others]):
                 i += 1
@@ -423,11 +431,19 @@ class EffectSearch:
                 self.removed.append(removal_sentence(removed.chosen, self.added[-1].chosen))
 
     def _is_needed(self, effect: AddedEffect, others: Sequence[EffectEntry]) -> bool:
-        """True if an effect is still worthwhile beside the others, on the rows that these are valid for."""
+        """True if an effect is still worthwhile, on the rows at which the columns of the others are defined.
+
+        Parameters
+        ----------
+        effect
+            The effect.
+        others
+            All effects of the model without it.
+        """
         current = self.current
         margin = effect.selection.base.reversal_margin
         try:
-            if current.reversal_margin != margin:
+            if current.reversal_margin != margin:  # judge it on the rows that it was selected on
                 current = linearize_fit(current.experiment, self.progress, reversal_margin=margin)
             reduced = with_effects(current.experiment, others, self.current.theta)
             without = linearize_fit(reduced, self.progress, current, own_rows=True)
@@ -441,7 +457,8 @@ class EffectSearch:
     def _drop_undetermined_parameters(self) -> None:
         """Leave out optional parameters that the data do not determine."""
         entries = [_without_undetermined(effect) for effect in self.added]
-        if all(entry is effect.entry for entry, effect in zip(entries, self.added, strict=True)):
+        is_same = [entry is effect.entry for entry, effect in zip(entries, self.added, strict=True)]
+        if all(is_same):
             return
         before = self.model.state()
         for effect, entry in zip(self.added, entries, strict=True):
@@ -450,27 +467,18 @@ class EffectSearch:
             self.model.restore(before)
 
 
-def _information(fit: LinearizedFit) -> Array:
-    """Fisher information of the rows on an offset of each joint's torque, shape (nv,)."""
-    variance = np.maximum(np.square(_rms_residual(fit)), np.finfo(float).tiny)
-    return np.asarray(fit.row_counts.sum(axis=0) / variance)
-
-
-def _rms_residual(fit: LinearizedFit) -> Array:
-    """Rms residual of each joint's rows, shape (nv,) [N·m or N]."""
-    return np.asarray(fit.noise * np.sqrt(fit.sse.sum(axis=0) / np.maximum(fit.row_counts.sum(axis=0), 1.0)))
-
-
 def _without_undetermined(effect: AddedEffect) -> EffectEntry:
-    """Entry of an effect without the optional parameters that do not differ significantly from 0."""
-    undetermined = set()
+    """Entry of an effect without the optional parameters that do not differ significantly from 0.
+
+    It is the same object if there are none.
+    """
+    parameters = dict(effect.entry.parameters)
     for parameter in effect_types()[effect.entry.effect].nonlinear_parameters:
         name = parameter.name
-        if parameter.optional_maximum is not None and name in effect.entry.parameters:
+        if parameter.optional_maximum is not None and name in parameters:
             least = MIN_PARAMETER_SIGNIFICANCE * effect.errors.get(name, 0.0)
-            if not float(effect.entry.parameters[name]) > least:
-                undetermined.add(name)
-    if not undetermined:
+            if not float(parameters[name]) > least:
+                del parameters[name]
+    if len(parameters) == len(effect.entry.parameters):
         return effect.entry
-    kept = {name: value for name, value in effect.entry.parameters.items() if name not in undetermined}
-    return effect.entry.model_copy(update={"parameters": kept})
+    return effect.entry.model_copy(update={"parameters": parameters})

@@ -1,8 +1,8 @@
 """`ExtendedModel`: the configuration's model with the effects that a search has added, fitted to the data.
 
-A controller holds its torque during a sample, so that the log has it half a sample early: every log has a delay of
-about that size. Such a background effect, a delay of all joints shorter than one sample, is fitted with the others but
-not reported: without it, it looks like joint elasticity.
+A controller holds its torque during a sample, so that the torque acts half a sample later, on average, than it is
+logged. Every log has a delay of about that size. It is the background: an effect that is fitted with the others but not
+reported, as long as it is shorter than one sample. A model without it would explain it as joint elasticity.
 """
 
 from __future__ import annotations
@@ -102,6 +102,10 @@ class ExtendedModel:
         """Effects that were not added: those of the configuration and the background."""
         return (*self._configured, *self._background)
 
+    def drop(self, effects: Sequence[AddedEffect]) -> None:
+        """Leave out added effects; the fit remains as it is until `try_refit`."""
+        self.added = [effect for effect in self.added if effect not in effects]
+
     def entries(self, count: int) -> list[EffectEntry]:
         """The configuration's effects and the first ``count`` reported ones, with errors of nonlinear parameters."""
         return [*self._configured, *(_with_errors(effect) for effect in self.reported[:count])]
@@ -118,8 +122,11 @@ class ExtendedModel:
 
     def settle(self) -> None:
         """Fit the present model on all rows, with columns that depend on its coefficients at their final values."""
-        leaves_rows_out = self.current.reversal_margin > 0
-        refits = _REFITS if self.current.experiment.equation.depends_on_parameters else int(leaves_rows_out)
+        refits = 0
+        if self.current.reversal_margin > 0:
+            refits = 1
+        if self.current.experiment.equation.depends_on_parameters:
+            refits = _REFITS
         for _ in range(refits):
             entries = self.current.experiment.config.effects
             experiment = with_effects(self.current.experiment, entries, self.current.theta)
@@ -153,41 +160,51 @@ class ExtendedModel:
         """Refit all effects, their nonlinear parameters together, with new weights of the joints."""
         entries = [effect.entry for effect in self.added]
         background = _missing_background([*self._configured, *entries])
-        background = self._background or background if background else ()
+        if background and self._background:  # begin at its fitted values
+            background = self._background
         errors = self._fit_with_background(background, entries)
-        if not all(effect_types()[entry.effect].is_background(entry, self._dt) for entry in self._background):
+        is_background = [effect_types()[entry.effect].is_background(entry, self._dt) for entry in self._background]
+        if not all(is_background):
             errors = self._fit_with_background((), entries)  # larger than in any log: the search must name it
         first = len(self.given)
         fitted_entries = self.current.experiment.config.effects[first:]
-        for i, (effect, entry) in enumerate(zip(self.added, fitted_entries, strict=True)):
+        for i, (effect, entry) in enumerate(zip(self.added, fitted_entries, strict=True), first):
             effect.entry = entry
-            own_errors = {name: error for (k, name), error in errors.items() if k == first + i}
-            effect.errors = own_errors or effect.errors
+            own_errors = {name: error for (k, name), error in errors.items() if k == i}
+            if own_errors:  # else its parameters were not moved
+                effect.errors = own_errors
 
     def _fit_with_background(
         self, background: Sequence[EffectEntry], entries: Sequence[EffectEntry]
     ) -> Mapping[ParameterKey, float]:
-        """Fit with background effects, which become `_background` with their fitted values, and other effects."""
-        errors = self._fit_with([*background, *entries])
-        first = len(self._configured)
-        self._background = self.current.experiment.config.effects[first : first + len(background)]
-        return errors
+        """Fit with background effects, which become `_background` with their fitted values, and the added effects.
 
-    def _fit_with(self, entries: Sequence[EffectEntry]) -> Mapping[ParameterKey, float]:
-        """Fit with effects besides those of the configuration; standard errors of their nonlinear parameters."""
-        experiment = with_effects(self.current.experiment, [*self._configured, *entries], self.current.theta)
+        Parameters
+        ----------
+        background, entries
+            Entries of the background effects and of the added ones.
+
+        Returns
+        -------
+        Standard errors of the nonlinear parameters that were moved.
+        """
+        all_entries = [*self._configured, *background, *entries]
+        experiment = with_effects(self.current.experiment, all_entries, self.current.theta)
         margin = self.current.reversal_margin
         self.current = linearize_fit(experiment, self._progress, reversal_margin=margin)
-        if not entries:
-            return {}
         first = len(self._configured)
-        refitted = list(range(first, first + len(entries)))
-        for i, effect in enumerate(self.added, first + len(entries) - len(self.added)):
-            if effect.selection.base.reversal_margin < margin:  # the rows that determine it are excluded
-                refitted.remove(i)
-        trial = fit_trial(self.current, experiment.config.effects, refitted, self._progress, _MAX_ITERATIONS)
-        self.current = trial.linearized
-        return trial.errors
+        first_added = first + len(background)
+        moving = list(range(first, first_added))
+        for i, effect in enumerate(self.added, first_added):
+            if effect.selection.base.reversal_margin >= margin:  # else the rows that determine it are excluded
+                moving.append(i)
+        errors: Mapping[ParameterKey, float] = {}
+        if background or entries:
+            trial = fit_trial(self.current, all_entries, moving, self._progress, _MAX_ITERATIONS)
+            self.current = trial.linearized
+            errors = trial.errors
+        self._background = self.current.experiment.config.effects[first:first_added]
+        return errors
 
     def without_each(self) -> list[LinearizedFit]:
         """Models without each of the reported effects, on their own rows, in the units of the present one."""

@@ -14,14 +14,14 @@ _NEGLIGIBLE = 0.01  # change of the logarithm of a joint's squared error
 def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) -> Array:
     """Mean squared residual on the held-out data by joint.
 
-    Rows in which a reversal rings count too, unless the fit has a reversal margin.
+    Rows near a reversal, where the filter rings, count too, unless the fit has a reversal margin.
 
     Parameters
     ----------
     linearized
         The model.
     row_equation
-        Equation at whose defined columns the rows count.
+        Equation whose columns must be defined at a row for it to count.
 
     Returns
     -------
@@ -37,8 +37,8 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
                 masks = row_equation.clean_samples(batch, linearized.reversal_margin)
             else:
                 masks = row_equation.valid_samples(batch)
-            blocks = zip(equation.active(), equation.filtered_columns(batch), masks, strict=True)
-            for j, (active, columns, mask) in enumerate(blocks):
+            joints = zip(equation.active(), equation.filtered_columns(batch), masks, strict=True)
+            for j, (active, columns, mask) in enumerate(joints):
                 residual = columns[-1] - theta[active] @ columns[:-1]
                 squares[j] += np.square(residual[mask]).sum()
                 count[j] += mask.sum()
@@ -49,9 +49,8 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
 def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> bool:
     """True if the held-out data are less likely under the model with an effect than under that without it.
 
-    Each joint's residual counts relative to its own size: while one joint lacks a large effect, another must not decide
-    alone. An effect that the held-out motion does not excite changes hardly anything there, which is nothing against
-    it.
+    Each joint's residual counts relative to its own size, so that a joint that still lacks a large effect does not
+    decide alone. An effect that the held-out motion does not excite hardly changes the likelihood, and passes.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """`LinearizedFit`: a fitted model and its residual, expanded to first order, to which further effects are compared.
 
-The model's rows are expressed in directions y in which prior, constraints and data together have unit information,
-about the fitted theta. The constraints count by the Hessian of their barrier there: along an active one the model is as
+About the fitted theta, the model's rows are expressed in directions y in which prior, constraints and data together
+have unit information. The constraints count by the Hessian of their barrier there: along an active one the model is as
 stiff as in the constrained problem. Of a candidate's columns, only the part orthogonal to all of that explains
 anything.
 
@@ -13,6 +13,7 @@ Letters: p coefficients theta; r directions y; F blocks of time; k columns of a 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,6 +24,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.data.signals import Batch
+from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.regressor import LinearModel
@@ -33,12 +35,13 @@ from idtool.estimation.dataset.weights import free_noise, weighted_rows
 from idtool.estimation.identification import choose_sets
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.estimate import Estimate, estimate
+from idtool.robot.config import EffectEntry
 
 _BLOCKS = 36  # of time, of all logs together
 _MIN_BLOCK_SECONDS = 0.4
 _BARRIER_GAP = 1e-4  # of the cost, that the barrier's minimiser may cost more
 _MIN_DATA_SHARE = 1e-5  # of a direction's information: with less from the data, the prior determines it
-_RANK = 1e-13  # of the largest eigenvalue
+_RANK = 1e-13  # of the largest eigenvalue: smaller ones are 0
 _MIN_DEFINED_ROWS = 0.1  # of a joint's rows, at which the model's own columns must be defined
 _SEED = 0
 
@@ -66,7 +69,7 @@ class LinearizedFit:
     score
         Products of the rows with the residual, of each block, shape (F, r).
     sse
-        Squared residuals of each block, by joint, shape (F, nv); in units of the noise.
+        Sum of squared residuals of each block, by joint, shape (F, nv); in units of the noise.
     row_counts
         Rows of each block, by joint, shape (F, nv).
     rms_torque
@@ -76,7 +79,7 @@ class LinearizedFit:
     reversal_margin
         Least distance of the rows from reversals, beside the filter's ringing [s].
     row_equation
-        Equation at whose defined columns the rows are.
+        Equation whose columns are defined at all rows.
     """
 
     experiment: Experiment
@@ -93,6 +96,14 @@ class LinearizedFit:
     block_length: int
     reversal_margin: float
     row_equation: LinearModel
+
+    def find_effect(self, entry: EffectEntry) -> tuple[NamedEffect, slice] | None:
+        """Effect of a configuration entry and the range of its coefficients in theta; None if it has none."""
+        key = effect_from_entry(entry, self.experiment.model).key
+        for effect, part in self.experiment.equation.effect_slices():
+            if isinstance(effect, NamedEffect) and effect.key == key and part.stop > part.start:
+                return effect, part
+        return None
 
     @property
     def block_count(self) -> int:
@@ -169,36 +180,19 @@ def linearize_fit(
             row_equation = reference.row_equation
     blocks = _read_blocks(experiment, length, progress, row_equation, reversal_margin)
     equation = experiment.equation
-    config = experiment.config
     reduction = experiment.checked(merge_reductions([log.total for log in blocks]))
-    equalities = experiment.equalities
     rms_torque = np.array([np.linalg.norm(factor.R[:, -1]) / np.sqrt(factor.rows) for factor in reduction])
     if reference is None:
-        noise = free_noise(equation, reduction, equalities)
+        noise = free_noise(equation, reduction, experiment.equalities)
     else:
         noise = reference.noise * _noise_ratio(experiment, rms_torque, reference)
-    sets, _ = choose_sets(experiment.model.bodies, config.constraints)
-    estimated = estimate(
-        equation,
-        experiment.model.bodies,
-        reduction,
-        sets,
-        config.regularization.fixed_or_weak(),
-        equalities,
-        config.solver.name,
-        noise,
-        config.solver.backend,
-    )
+    estimated = _estimate(experiment, reduction, noise)
     theta, directions, prior_information = _directions(equation, reduction, estimated, noise)
 
     parts = [part for log in blocks for part in log.parts]
-    grams, scores, sses, row_counts = [], [], [], []
-    for part in parts:
-        gram, score, sse = _block_sums(equation, part, theta, directions, noise)
-        grams.append(gram)
-        scores.append(score)
-        sses.append(sse)
-        row_counts.append([float(factor.rows) for factor in part])
+    sums = [_block_sums(equation, part, theta, directions, noise) for part in parts]
+    gram, score, sse = (np.stack(of_blocks) for of_blocks in zip(*sums, strict=True))
+    row_counts = np.array([[float(factor.rows) for factor in part] for part in parts])
     return LinearizedFit(
         experiment=experiment,
         estimate=estimated,
@@ -206,10 +200,10 @@ def linearize_fit(
         noise=noise,
         directions=directions,
         prior_information=prior_information,
-        gram=np.stack(grams),
-        score=np.stack(scores),
-        sse=np.stack(sses),
-        row_counts=np.array(row_counts),
+        gram=gram,
+        score=score,
+        sse=sse,
+        row_counts=row_counts,
         rms_torque=rms_torque,
         block_length=length,
         reversal_margin=reversal_margin,
@@ -217,24 +211,42 @@ def linearize_fit(
     )
 
 
+def _estimate(experiment: Experiment, reduction: Reduction, noise: Array) -> Estimate:
+    """Estimate of the coefficients as configured, the joints weighted by their noise, shape (nv,)."""
+    config = experiment.config
+    bodies = experiment.model.bodies
+    sets, _ = choose_sets(bodies, config.constraints)
+    return estimate(
+        experiment.equation,
+        bodies,
+        reduction,
+        sets,
+        config.regularization.fixed_or_weak(),
+        experiment.equalities,
+        config.solver.name,
+        noise,
+        config.solver.backend,
+    )
+
+
 def _noise_ratio(experiment: Experiment, rms_torque: Array, reference: LinearizedFit) -> Array:
-    """Noise of each joint over that of the reference, shape (nv,); as their true torques where the sensors differ."""
-    own_sensors = _torque_sensors(experiment)
+    """Noise of each joint over that of the reference, shape (nv,); it scales with the true torque if that differs."""
     ratio = _noise_gain(experiment, reference.noise) / _noise_gain(reference.experiment, reference.noise)
-    if own_sensors or _torque_sensors(reference.experiment):
+    if _has_torque_sensor_effect(experiment) or _has_torque_sensor_effect(reference.experiment):
         ratio = ratio * rms_torque / reference.rms_torque
     return ratio
 
 
-def _torque_sensors(experiment: Experiment) -> bool:
-    """True if an effect of the torque sensors is among the effects."""
+def _has_torque_sensor_effect(experiment: Experiment) -> bool:
+    """True if an effect of the torque sensors is in the model."""
     return any(isinstance(effect, TorqueSensorEffect) for effect in experiment.equation.effects)
 
 
 def _noise_gain(experiment: Experiment, noise: Array) -> Array:
-    """Share of white noise of the measured torque that remains in the rows, from the first samples, shape (nv,).
+    """Ratio of the rows' noise to that of the measured torque, at most 1, shape (nv,).
 
-    A soft joint's acceleration follows the torque and cancels some of its noise, which explains nothing.
+    Where a model derives the link's acceleration from the measured torque, it cancels some of that torque's noise,
+    which explains nothing. The ratio is that of white noise added to the first batch.
     """
     equation = experiment.equation
     gain = np.ones(len(noise))
@@ -257,10 +269,11 @@ def _noise_gain(experiment: Experiment, noise: Array) -> Array:
 
 def _block_length(experiment: Experiment) -> int:
     """Rows of a block."""
-    low_pass = experiment.runs[0].signals.low_pass
-    count = sum((part.stop - part.start) // low_pass.stride for run in experiment.runs for part in run.train)
-    least = int(_MIN_BLOCK_SECONDS / (low_pass.stride * experiment.runs[0].signals.log.dt))
-    return int(max(-(-count // _BLOCKS), least, 1))
+    signals = experiment.runs[0].signals
+    stride = signals.low_pass.stride
+    count = sum((part.stop - part.start) // stride for run in experiment.runs for part in run.train)
+    least = int(_MIN_BLOCK_SECONDS / (stride * signals.log.dt))
+    return int(max(math.ceil(count / _BLOCKS), least, 1))
 
 
 def _read_blocks(
@@ -306,28 +319,40 @@ def _read_blocks(
 def _directions(
     equation: LinearModel, reduction: Reduction, estimated: Estimate, noise: Array
 ) -> tuple[Array, Array, Array]:
-    """Theta within the constraints, shape (p,), the directions, (p, r), and the prior's information, (r, r)."""
+    """Point of the expansion, and the directions about it in which all information together is 1.
+
+    Directions on which the data have hardly any information are left out: the prior determines them.
+
+    Returns
+    -------
+    Theta strictly within the constraints, shape (p,), the directions, (p, r), and the information of prior and
+    constraints on y, (r, r).
+    """
     problem = estimated.problem
     samples = max(sum(factor.rows for factor in reduction) / len(reduction), 1.0)
     A = problem.A @ problem.S
     gap = _BARRIER_GAP * max(estimated.certificate.objective, 1e-9)
     barrier = Barrier(problem, 2 * A.T @ A, 2 * A.T @ problem.b, gap)
     x = barrier.x
+    information = samples * (A.T @ A + barrier.curvature(x) / 2)  # the cost is a mean over the samples
+    free = _null_space(problem.E @ problem.S, len(x))
     to_theta = problem.K @ (problem.scale[:, None] * problem.S)
-    P = samples * (A.T @ A + barrier.curvature(x) / 2)
-    N = _null_space(problem.E @ problem.S, len(x))
-    free_information = N.T @ P @ N
-    size = np.sqrt(np.maximum(free_information.diagonal(), 1e-300))
-    values, vectors = np.linalg.eigh(free_information / size[:, None] / size)
-    keep = values > _RANK * values.max(initial=0.0)
-    directions = to_theta @ N @ (vectors[:, keep] / size[:, None] / np.sqrt(values[keep]))
+    directions = to_theta @ free @ _whitening(free.T @ information @ free)
 
     rows = np.sqrt(samples) * weighted_rows(equation, reduction, noise)[:, :-1] @ directions
     data_shares, rotation = np.linalg.eigh(rows.T @ rows)
-    from_data = data_shares > _MIN_DATA_SHARE
-    directions = directions @ rotation[:, from_data]
-    prior_information = np.diag(np.maximum(1 - data_shares[from_data], 0.0))
+    is_from_data = data_shares > _MIN_DATA_SHARE
+    directions = directions @ rotation[:, is_from_data]
+    prior_information = np.diag(np.maximum(1 - data_shares[is_from_data], 0.0))
     return problem.theta(problem.S @ x), directions, prior_information
+
+
+def _whitening(information: Array) -> Array:
+    """Basis W of the range of an information matrix M with Wᵀ M W = 1; its columns are scaled first, for accuracy."""
+    size = np.sqrt(np.maximum(information.diagonal(), 1e-300))
+    values, vectors = np.linalg.eigh(information / size[:, None] / size)
+    keep = values > _RANK * values.max(initial=0.0)
+    return np.asarray(vectors[:, keep] / size[:, None] / np.sqrt(values[keep]))
 
 
 def _null_space(E: Array, count: int) -> Array:
@@ -341,7 +366,13 @@ def _null_space(E: Array, count: int) -> Array:
 def _block_sums(
     equation: LinearModel, block: Reduction, theta: Array, directions: Array, noise: Array
 ) -> tuple[Array, Array, Array]:
-    """Gram matrix of a block by y, its product with the residual, and the squared residual by joint."""
+    """Sums over a block's rows in units of the noise.
+
+    Returns
+    -------
+    Gram matrix of the rows by y, shape (r, r), their products with the residual, (r,), and the squared residual by
+    joint, (nv,).
+    """
     r = directions.shape[1]
     gram = np.zeros((r, r))
     score = np.zeros(r)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.arrays import Array, Mask, mask_runs
 from idtool.diagnosis.records import ResidualLocation
 from idtool.diagnosis.regions import JointResidual, describe_region
 from idtool.diagnosis.residual_series import ResidualSeries, residual_series
@@ -167,22 +167,17 @@ def energy_windows(series: ResidualSeries, energy: Array, valid: Mask) -> tuple[
         return ()
 
     windows = []
-    for i, j in _runs(chosen).tolist():
+    for i, j in mask_runs(chosen).tolist():
         if cell_energy[i:j].sum() > _MIN_WINDOW_ENERGY * total:
             windows.append((round(first + i * cell, 3), round(min(first + j * cell, last), 3)))
     return tuple(windows)
-
-
-def _runs(chosen: Mask) -> Indices:
-    """First cell of each run and the one after its last, shape (k, 2)."""
-    return np.flatnonzero(np.diff(chosen, prepend=False, append=False)).reshape(-1, 2)
 
 
 def _with_gaps_filled(chosen: Mask, min_gap: int) -> Mask:
     """Mask with its smallest gaps filled, until there are few runs, more than ``min_gap`` cells apart."""
     chosen = chosen.copy()
     while True:
-        runs = _runs(chosen)
+        runs = mask_runs(chosen)
         gaps = runs[1:, 0] - runs[:-1, 1]
         if not len(gaps) or (len(runs) <= _MAX_WINDOWS and gaps.min() > min_gap):
             return chosen

@@ -1,4 +1,4 @@
-"""Selection of the best of the fitted effects, of those that the data cannot distinguish from it, and why others lost.
+"""Selection of the best of the fitted effects, and of those that the data cannot distinguish from it.
 
 A gain is the reduction of the squared residual on blocks of time not used for fitting, in units of the noise. Rows are
 correlated, so it must be ``inflation`` times larger than with independent rows.
@@ -14,7 +14,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.records import Candidate
-from idtool.diagnosis.screen import ScreenedProbe, screen_probes
+from idtool.diagnosis.screen import ScreenedProbe, screen_probes, sum_standard_error
 from idtool.diagnosis.trial import TrialFit
 from idtool.dynamics.effects import effect_types, target_name
 from idtool.dynamics.effects.probe import Probe
@@ -23,11 +23,11 @@ from idtool.estimation.dataset.experiment import Progress
 ProbeKey = tuple[str, ...]
 
 MIN_SIGNIFICANCE = 5.0  # standard errors of noise that a gain must exceed: some thousand candidates compete
-_PER_PARAMETER = 4.0  # more of the gain, in units of the noise, for each further parameter
+_GAIN_PER_PARAMETER = 4.0  # in units of the noise, that each further parameter must add
 MIN_SHARE = 0.1  # of a joint's squared residual, that an effect must explain
 _SAME_GAIN = 2.0  # standard errors within which two gains are the same
 _SIMPLER_LOSS = 0.03  # of the best gain, that a simpler explanation may lack
-_RIVAL_GAIN = 0.5  # of its gain, that a rival keeps at most with the winner in the model
+_MAX_RIVAL_GAIN = 0.5  # of its gain, that a rival keeps at most with the winner in the model
 _NEAR_GAIN = 0.8  # of the larger gain, from which chance may be the difference
 _SAME_RESIDUAL = 1.1  # ratio of two squared residuals that are as good as the same
 
@@ -63,11 +63,11 @@ class FittedCandidate:
     @property
     def standard_error(self) -> float:
         """Standard error of the gain, from the blocks."""
-        return _sum_standard_error(self.gains)
+        return sum_standard_error(self.gains)
 
     @property
     def remaining(self) -> float:
-        """Squared residual with the effect."""
+        """Squared validation error of the model with the effect."""
         return self.trial.linearized.total_cv_squared_error
 
 
@@ -108,9 +108,11 @@ class SelectionStep:
 
 
 def probe_key(probe: Probe) -> ProbeKey:
-    """Effect and what it acts on; an effect of another source joint, or in another log, is another one."""
-    sources = effect_types()[probe.effect].joint_parameters()
-    return (*probe.subject, probe.log, *(f"{probe.nonlinear_values[name]:g}" for name in sources))
+    """Key of a probe, which other numeric values do not change: effect, what it acts on, log, and other joints."""
+    other_joints = []
+    for name in effect_types()[probe.effect].joint_parameters():
+        other_joints.append(f"{probe.nonlinear_values[name]:g}")
+    return (*probe.subject, probe.log, *other_joints)
 
 
 def probe_target(probe: Probe) -> tuple[str, str]:
@@ -129,7 +131,10 @@ def block_gains(before: LinearizedFit, after: LinearizedFit) -> Array:
 
 
 def explained_share(gain: float, base: LinearizedFit, joints: int) -> float:
-    """Share of a gain in the squared residual of a number of joints."""
+    """Gain as a share of the squared residual of a number of joints.
+
+    In units of the noise, every joint has about the same.
+    """
     return float(gain / base.total_cv_squared_error * base.joint_count / joints)
 
 
@@ -146,13 +151,13 @@ def best_by_key(screened: Iterable[ScreenedProbe]) -> dict[ProbeKey, ScreenedPro
 def select_best(
     base: LinearizedFit,
     fitted: Sequence[FittedCandidate],
-    failed: Sequence[Candidate],
+    rejected: Sequence[Candidate],
     screened: Sequence[ScreenedProbe],
     inflation: float,
     progress: Progress,
     min_share: float = MIN_SHARE,
 ) -> SelectionStep:
-    """Best of the finalists, with reasons why the others lost.
+    """Best of the finalists, with the reasons why other candidates were rejected.
 
     Parameters
     ----------
@@ -160,8 +165,8 @@ def select_best(
         Model that they are to improve.
     fitted
         The finalists, the best first.
-    failed
-        Candidates that turned out to be no explanation.
+    rejected
+        Candidates that could not be fitted, or turned out to be no explanation.
     screened
         All candidates.
     inflation
@@ -172,43 +177,45 @@ def select_best(
         Share of a joint's squared residual that an effect must explain.
     """
     worthwhile = [candidate for candidate in fitted if _is_worth_adding(candidate, base, inflation, min_share)]
-    rejected = _all_rejected(base, fitted, failed, screened, inflation)
+    all_rejected = _all_rejected(base, fitted, rejected, screened, inflation)
     if not worthwhile:
-        return SelectionStep(base, None, (), tuple(fitted), rejected, inflation)
+        return SelectionStep(base, None, (), tuple(fitted), all_rejected, inflation)
 
     winner = _simplest_of_best(worthwhile)
     rivals = _rivals(fitted, winner, progress)
     indistinguishable = []
     runners_up = []
     for rival in rivals:
-        if rival in worthwhile and _is_indistinguishable(rival, winner) and not _generalizes(rival, winner):
+        is_alike = _is_indistinguishable(rival, winner)
+        if rival in worthwhile and is_alike and not _generalizes(rival, winner):
             indistinguishable.append(rival)
         else:
             runners_up.append(rival)
-    return SelectionStep(base, winner, tuple(indistinguishable), tuple(runners_up), rejected, inflation)
+    return SelectionStep(base, winner, tuple(indistinguishable), tuple(runners_up), all_rejected, inflation)
 
 
 def _all_rejected(
     base: LinearizedFit,
     fitted: Sequence[FittedCandidate],
-    failed: Sequence[Candidate],
+    rejected: Sequence[Candidate],
     screened: Sequence[ScreenedProbe],
     inflation: float,
 ) -> tuple[Candidate, ...]:
-    """Candidates that are no finalists."""
-    others = {(candidate.effect, candidate.target) for candidate in failed}
-    others |= {probe_target(candidate.probe) for candidate in fitted}
-    rejected = list(failed)
+    """Candidates that are no finalists: those rejected already, and those that the screening rejects."""
+    judged = {(candidate.effect, candidate.target) for candidate in rejected}
+    judged |= {probe_target(candidate.probe) for candidate in fitted}
+    all_rejected = list(rejected)
     for candidate in best_by_key(screened).values():
-        if probe_target(candidate.probe) not in others:
-            rejected.append(_rejected_by_screening(candidate, base, inflation))
-    return tuple(candidate for candidate in rejected if is_reportable(candidate.effect))
+        if probe_target(candidate.probe) not in judged:
+            all_rejected.append(_rejected_by_screening(candidate, base, inflation))
+    return tuple(candidate for candidate in all_rejected if is_reportable(candidate.effect))
 
 
 def _simplest_of_best(worthwhile: Sequence[FittedCandidate]) -> FittedCandidate:
     """Simplest of the candidates that are as good as the best."""
     best = worthwhile[0]
     equals = [candidate for candidate in worthwhile if _is_as_good(candidate, best)]
+    # an effect that can imitate another one is chosen only if that is not as good
     specific = [candidate for candidate in equals if not any(_generalizes(candidate, other) for other in equals)]
     return min(specific or equals, key=lambda candidate: (candidate.probe.complexity, -candidate.gain))
 
@@ -226,8 +233,24 @@ def is_worthwhile(
     parameters: int,
     min_share: float = MIN_SHARE,
 ) -> bool:
-    """True if a gain is not due to chance, and large enough for an effect."""
-    min_gain = inflation * (MIN_SIGNIFICANCE**2 + _PER_PARAMETER * (parameters - 1))
+    """True if a gain is not due to chance, and large enough for an effect.
+
+    Parameters
+    ----------
+    gain
+        Reduction of the squared residual by the effect.
+    base
+        The model without it.
+    inflation
+        Number of rows that are worth one independent one.
+    on_joint
+        True if it acts on a single joint.
+    parameters
+        Number of its parameters.
+    min_share
+        Share of the squared residual of its joints that it must explain.
+    """
+    min_gain = inflation * (MIN_SIGNIFICANCE**2 + _GAIN_PER_PARAMETER * (parameters - 1))
     joints = 1 if on_joint else base.joint_count
     return gain > min_gain and explained_share(gain, base, joints) > min_share
 
@@ -245,7 +268,7 @@ def _is_indistinguishable(a: FittedCandidate, b: FittedCandidate) -> bool:
 
 
 def _rivals(fitted: Sequence[FittedCandidate], winner: FittedCandidate, progress: Progress) -> list[FittedCandidate]:
-    """Candidates that explain the same as the winner: with it in the model, they explain far less."""
+    """Candidates that explain the same part of the residual as the winner: with it in the model, far less is left."""
     others = [candidate for candidate in fitted if candidate is not winner and is_reportable(candidate.probe.effect)]
     if not others:
         return []
@@ -253,7 +276,7 @@ def _rivals(fitted: Sequence[FittedCandidate], winner: FittedCandidate, progress
     with_winner = screen_probes(winner.trial.linearized, probes, progress, "comparing candidates")
     rivals = []
     for candidate, rescreened in zip(others, with_winner, strict=True):
-        if rescreened.gain < _RIVAL_GAIN * candidate.screened.gain:
+        if rescreened.gain < _MAX_RIVAL_GAIN * candidate.screened.gain:
             rivals.append(candidate)
     return rivals
 
@@ -266,12 +289,7 @@ def _generalizes(a: FittedCandidate, b: FittedCandidate) -> bool:
 def _gains_differ(a: FittedCandidate, b: FittedCandidate) -> bool:
     """True if the gains of two candidates differ by more than chance."""
     difference = b.gains - a.gains
-    return bool(abs(difference.sum()) > _SAME_GAIN * _sum_standard_error(difference))
-
-
-def _sum_standard_error(values: Array) -> float:
-    """Standard error of the sum of independent values."""
-    return float(np.sqrt(len(values)) * values.std(ddof=1))
+    return bool(abs(difference.sum()) > _SAME_GAIN * sum_standard_error(difference))
 
 
 def _rejected_by_screening(candidate: ScreenedProbe, base: LinearizedFit, inflation: float) -> Candidate:
@@ -307,8 +325,8 @@ def _scores(gain: float, standard_error: float, probe: Probe, base: LinearizedFi
     joints = _joints_reached(probe, base)
     score = explained_share(gain, base, joints)
     error = explained_share(standard_error, base, joints)
-    largest = max(score, 1.0)
-    return score / largest, error / largest
+    excess = max(score, 1.0)  # a gain can exceed the average joint's residual
+    return score / excess, error / excess
 
 
 def _joints_reached(probe: Probe, base: LinearizedFit) -> int:

@@ -3,8 +3,10 @@
 Noise of torque sensors is white; that of encoders grows with the fourth power of the frequency once it has become an
 acceleration. What a model lacks follows the motion, whose power is at low frequencies, or occurs in bursts. So the
 power density above the motion's frequencies, in the quieter moments, is fitted with N0 + N4 f^4, which is taken as the
-noise down to 0 Hz. While a joint rests, friction can be anything up to its level; no model can explain more of the
-residual there, and around a reversal no more than the unknown direction of friction makes of it through the filter.
+noise down to 0 Hz.
+
+While a joint rests, friction can be anything up to its level, so that no model can explain the residual up to there.
+The filter spreads this over the samples around each rest and each reversal.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ _ITERATIONS = 4
 _LINE = 4.0  # times the noise: a line of the spectrum, not noise
 _WINDOW = 64  # samples of a periodogram, at the decimated rate
 _QUIET = 0.25  # quantile of the periodograms
-_QUIET_OF_MEAN = -np.log(1 - _QUIET)  # that quantile of noise, over its mean
+_QUIET_OF_MEAN = -np.log(1 - _QUIET)  # that quantile over the mean: periodograms of noise are exponential
 _MIN_WINDOWS = 12
 _MAX_UNDEFINED_SHARE = 0.03  # of a filtered sample's weight, where an effect other than friction is undefined
 _MAX_COLOUR = 15.0  # ratio of the residual's slow power to that of white noise, up to which it may be noise
@@ -53,17 +55,22 @@ class NoiseFloor:
     slow_power_ratio: Array
 
     def without_structure(self, shares: Array) -> NoiseFloor:
-        """Floor if shares of the residual's power, shape (nv,), are known to be structure."""
+        """Floor if shares of the residual's power, shape (nv,), are structure, and so not noise."""
         noise_share = np.clip(1 - shares, 0.0, 1.0)
         noise = np.minimum(self.noise, self.residual * np.sqrt(noise_share))
         power = np.square(self.rms) - np.square(self.noise) + np.square(noise)
         return replace(self, noise=noise, rms=np.sqrt(np.maximum(power, 0.0)))
 
     def with_coloured_noise(self, without_structure: Mask) -> NoiseFloor:
-        """Floor if the residual of joints, shape (nv,), is noise whose power falls with the frequency.
+        """Floor if all of the residual is noise, whose power falls with the frequency, on joints without structure.
 
-        That is what remains where nothing explains it and its slow power is only some times that of white noise; what a
-        model lacks has hundreds of times as much.
+        That is assumed where its slow power is only a few times that of white noise: what a model lacks has hundreds of
+        times as much.
+
+        Parameters
+        ----------
+        without_structure
+            Mask of the joints whose residual nothing explains, shape (nv,).
         """
         is_noise = without_structure & (self.slow_power_ratio < _MAX_COLOUR)
         noise = np.where(is_noise, self.residual, self.noise)
@@ -93,35 +100,35 @@ def estimate_noise_floor(
     joint_count = len(experiment.equation.joints)
     moving_squares = np.zeros(joint_count)
     moving_count = np.zeros(joint_count)
-    resting: list[list[tuple[Array, Array]]] = [[] for _ in range(joint_count)]
-    periodograms: list[list[Array]] = [[] for _ in range(joint_count)]
+    resting: list[list[tuple[Array, Array]]] = [[] for _ in range(joint_count)]  # by joint and batch
+    periodograms: list[list[Array]] = [[] for _ in range(joint_count)]  # by joint and window
     for run in experiment.runs:
         parts = run.parts(held_out)
         for batch in tracked(experiment.batches(run, held_out), parts, progress, "estimating the noise floor"):
             model = LinearizedModel(experiment.equation, theta, batch.motion)
-            e = batch.filter(model.residual)
+            residual = batch.filter(model.residual)
             moving = np.array(experiment.equation.clean_samples(batch, reversal_margin))
-            moving_squares += (np.square(e) * moving).sum(axis=1)
+            moving_squares += (np.square(residual) * moving).sum(axis=1)
             moving_count += moving.sum(axis=1)
             unknowable = _unknowable_torque(model, batch)
             for j in range(joint_count):
-                resting[j].append((e[j, ~moving[j]], unknowable[j, ~moving[j]]))
-                periodograms[j] += _periodograms(e[j], moving[j], dt * low_pass.stride)
+                resting[j].append((residual[j, ~moving[j]], unknowable[j, ~moving[j]]))
+                periodograms[j] += _periodograms(residual[j], moving[j], dt * low_pass.stride)
 
-    residual = np.sqrt(moving_squares / np.maximum(moving_count, 1))
+    rms_residual = np.sqrt(moving_squares / np.maximum(moving_count, 1))
     f = np.fft.rfftfreq(_WINDOW, dt * low_pass.stride).astype(np.float64)
     passed_power = _passed_power(low_pass.kernel, f, dt)
-    noise = residual.copy()
+    noise = rms_residual.copy()
     slow_power_ratio = np.ones(joint_count)
     for j, powers in enumerate(periodograms):
         if len(powers) >= _MIN_WINDOWS:
-            rms, slow_power_ratio[j] = _noise_of(f, np.array(powers), passed_power, experiment.band_hz)
-            noise[j] = min(rms, residual[j])
+            rms, slow_power_ratio[j] = _noise_in_band(f, np.array(powers), passed_power, experiment.band_hz)
+            noise[j] = min(rms, rms_residual[j])
 
     mean_squares = []
     for joint_noise, joint_moving_count, at_rest in zip(noise, moving_count, resting, strict=True):
         mean_squares.append(_mean_square(float(joint_noise), float(joint_moving_count), at_rest))
-    return NoiseFloor(np.sqrt(mean_squares), noise, residual, slow_power_ratio)
+    return NoiseFloor(np.sqrt(mean_squares), noise, rms_residual, slow_power_ratio)
 
 
 def _mean_square(noise: float, moving_count: float, resting: Sequence[tuple[Array, Array]]) -> float:
@@ -130,21 +137,21 @@ def _mean_square(noise: float, moving_count: float, resting: Sequence[tuple[Arra
     Parameters
     ----------
     noise
-        Its noise.
+        Its rms noise [N·m or N].
     moving_count
         Number of samples in which it moves.
     resting
         Residual, and largest unknowable torque, of the samples in which it rests or reverses, batch after batch.
     """
-    e = np.concatenate([residual for residual, _ in resting])
+    residual = np.concatenate([residual for residual, _ in resting])
     unknowable = np.concatenate([torque for _, torque in resting])
-    squares = np.minimum(np.square(e), np.square(noise) + np.square(unknowable))
-    total = np.square(noise) * moving_count + squares.sum()
-    return float(total / max(moving_count + len(e), 1))
+    resting_squares = np.minimum(np.square(residual), np.square(noise) + np.square(unknowable))
+    total = np.square(noise) * moving_count + resting_squares.sum()
+    return float(total / max(moving_count + len(residual), 1))
 
 
 def _unknowable_torque(model: LinearizedModel, batch: Batch) -> Array:
-    """Largest error of each filtered sample that comes from samples where columns are undefined, shape (nv, n).
+    """Largest error of each filtered sample that comes from samples where columns are undefined [N·m], shape (nv, n).
 
     Where friction may have either direction, that is twice its level; where another effect is undefined, infinity.
     """
@@ -154,33 +161,55 @@ def _unknowable_torque(model: LinearizedModel, batch: Batch) -> Array:
     return np.asarray(np.where(of_others > _MAX_UNDEFINED_SHARE, np.inf, error))
 
 
-def _periodograms(e: Array, moving: Mask, dt: float) -> list[Array]:
-    """Periodograms of windows in which the joint moves most of the time, interpolated where it does not."""
+def _periodograms(residual: Array, moving: Mask, dt: float) -> list[Array]:
+    """Periodograms of windows in which the joint moves most of the time, interpolated where it does not.
+
+    Parameters
+    ----------
+    residual, moving
+        Residual of one joint, and mask of the samples in which it moves, shape (n,).
+    dt
+        Time between samples [s].
+    """
     if not moving.any():
         return []
-    samples = np.arange(len(e))
-    interpolated = np.interp(samples, samples[moving], e[moving])
+    samples = np.arange(len(residual))
+    interpolated = np.interp(samples, samples[moving], residual[moving])
     windows = []
-    for start in range(0, len(e) - _WINDOW + 1, _WINDOW // 2):
+    for start in range(0, len(residual) - _WINDOW + 1, _WINDOW // 2):
         share = moving[start : start + _WINDOW].mean()
-        if share > _MIN_MOVING:
+        if share > _MIN_MOVING:  # interpolated samples have hardly any power
             windows.append(interpolated[start : start + _WINDOW] / np.sqrt(share))
     if not windows:
         return []
     return list(periodogram(np.array(windows), 1 / dt, window="hann", detrend=False)[1])
 
 
-def _noise_of(f: Array, powers: Array, passed_power: Array, band: float) -> tuple[float, float]:
-    """Rms of the noise in the band, and the ratio of the residual's slow power to that of the noise."""
+def _noise_in_band(f: Array, powers: Array, passed_power: Array, band: float) -> tuple[float, float]:
+    """Rms of the noise in the band, and the ratio of the residual's slow power to that of the noise.
+
+    Parameters
+    ----------
+    f
+        Frequencies, shape (k,) [Hz].
+    powers
+        Periodograms, one a row, shape (m, k).
+    passed_power
+        Share of the power that the filter lets pass, shape (k,).
+    band
+        End of the band [Hz].
+    """
     quiet = np.quantile(powers, _QUIET, axis=0) / _QUIET_OF_MEAN
-    noise = _noise_density(f, quiet / np.maximum(passed_power, 1e-300), band) * passed_power
-    slow = f < _NOISE_BAND[0] * band
+    unfiltered = quiet / np.maximum(passed_power, 1e-300)
+    noise = _noise_density(f, unfiltered, band) * passed_power
     rms = float(np.sqrt(noise.sum() * (f[1] - f[0])))
-    return rms, float(powers.mean(axis=0)[slow].sum() / noise[slow].sum())
+    slow = f < _NOISE_BAND[0] * band
+    slow_power_ratio = float(powers.mean(axis=0)[slow].sum() / noise[slow].sum())
+    return rms, slow_power_ratio
 
 
 def _passed_power(kernel: Array, f: Array, dt: float) -> Array:
-    """Share of the power at each frequency that the filter lets pass."""
+    """Share of the power at each frequency that the filter, whose kernel is symmetric, lets pass."""
     lag = np.arange(len(kernel)) - len(kernel) // 2
     return np.square(np.cos(2 * np.pi * np.outer(f, lag) * dt) @ kernel)
 

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
-from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.arrays import Array, Indices, Mask, mask_runs
 from idtool.diagnosis.robust_residual import RobustResidual
 from idtool.dynamics.effects.data_summary import Burst
 from idtool.robot.body import Body, Frame
@@ -117,7 +117,7 @@ def raised_windows(residual: RobustResidual) -> list[slice]:
 
 def _runs(mask: Mask, min_gap: int) -> list[tuple[int, int]]:
     """First sample and the one after the last of each run of True, with gaps shorter than ``min_gap`` filled."""
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
+    edges = mask_runs(mask)
     runs: list[tuple[int, int]] = []
     for a, b in edges.tolist():
         if runs and a - runs[-1][1] < min_gap:

@@ -6,7 +6,7 @@ With the model's rows Q (n, r) by y and the probe's columns C (n, k), each block
     [Cᵀ Q       Cᵀ C] [c] = [Cᵀ e    ]
 
 is solved over the others by the Schur complement of the model: C is projected on what is orthogonal to Q and H. H and f
-are the information and the pull of prior and constraints.
+are the information and the pull of prior and constraints. The sums over rows are P = Qᵀ C, h = Cᵀ e and Cᵀ C.
 
 Letters: F blocks; K coefficients of all probes one after the other, of which a probe has k; i probes of k coefficients.
 """
@@ -30,8 +30,8 @@ from idtool.robot.config import EffectEntry
 
 _MAX_NUMBERS = 1e7  # in memory at once
 _MAX_COLUMNS = 128  # filtered together
-_ROUNDING = 1e-18  # of a column, squared and in units of the noise
-_MIN_NEW_SHARE = 1e-5  # of a column, that the model can't reproduce
+_ROUNDING = 1e-18  # squared norm of a column, in units of the noise, up to which it is 0
+_MIN_NEW_SHARE = 1e-5  # of a column's squared norm, that the model cannot reproduce
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class ScreenedProbe:
     @property
     def standard_error(self) -> float:
         """Standard error of the gain, from the blocks."""
-        return float(np.sqrt(len(self.gains)) * self.gains.std(ddof=1)) if len(self.gains) > 1 else np.inf
+        return sum_standard_error(self.gains) if len(self.gains) > 1 else np.inf
 
     @property
     def is_possible(self) -> bool:
@@ -86,6 +86,11 @@ class ScreenedProbe:
         return self.probe.to_entry(self.c, self.information)
 
 
+def sum_standard_error(values: Array) -> float:
+    """Standard error of the sum of independent values, shape (F,), from their scatter."""
+    return float(np.sqrt(len(values)) * values.std(ddof=1))
+
+
 @dataclass
 class _ProbeSums:
     """Gram matrices of all probes, by block.
@@ -96,13 +101,13 @@ class _ProbeSums:
         Products of the model's rows with the columns, shape (F, r, K).
     h
         Products of the columns with the residual, shape (F, K).
-    C
+    CC
         Products of each column with those of its own probe, shape (F, K, largest k).
     """
 
     P: Array
     h: Array
-    C: Array
+    CC: Array
 
 
 def screen_probes(
@@ -168,42 +173,53 @@ def _coefficient_starts(probes: Sequence[Probe]) -> Indices:
 
 
 def _accumulate(linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str) -> _ProbeSums:
+    """Gram matrices of the probes over the training data."""
     starts = _coefficient_starts(probes)
     max_k = max(probe.coefficient_count for probe in probes)
     F, r, K = linearized.block_count, linearized.directions.shape[1], int(starts[-1])
     sums = _ProbeSums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, max_k)))
     for batch, model, block_index in training_batches(linearized, progress, stage):
         Q, e, valid = _model_rows(linearized, batch)
-        blocks = _slices_of_equal(block_index)
+        blocks = _block_slices(block_index)
         for joint, index, filtered in _probe_columns(probes, starts, batch, model):
             columns = filtered * (valid[joint] / linearized.noise[joint])
-            by_size = _siblings(starts, index)
+            probe_rows = _rows_by_probe(starts, index)
             for f, part in blocks:
                 x = columns[:, part]
                 sums.P[f][:, index] += Q[joint][:, part] @ x.T
                 sums.h[f, index] += x @ e[joint][part]
-                for k, first in by_size:
-                    own = first[:, None] + np.arange(k)  # (i, k) positions among the columns
-                    siblings = x[own]  # (i, k, n)
-                    sums.C[f, index[own], :k] += siblings @ siblings.transpose(0, 2, 1)
+                for rows in probe_rows:
+                    own = x[rows]  # (i, k, n)
+                    sums.CC[f, index[rows], : rows.shape[1]] += own @ own.transpose(0, 2, 1)
     return sums
 
 
-def _slices_of_equal(block_index: Indices) -> list[tuple[int, slice]]:
-    """Blocks of a batch's filtered samples, each with its number."""
+def _block_slices(block_index: Indices) -> list[tuple[int, slice]]:
+    """Number of each block in a batch, and its range among the batch's filtered samples.
+
+    Parameters
+    ----------
+    block_index
+        Block of each filtered sample, ascending, shape (n,).
+    """
     firsts = np.flatnonzero(np.diff(block_index, prepend=-1))
     stops = [*firsts[1:], len(block_index)]
     return [(int(block_index[first]), slice(first, stop)) for first, stop in zip(firsts, stops, strict=True)]
 
 
-def _siblings(starts: Indices, index: Indices) -> list[tuple[int, Indices]]:
-    """By number of coefficients k, the position among some columns of each probe's first.
+def _rows_by_probe(starts: Indices, index: Indices) -> list[Indices]:
+    """Rows of some columns that belong to one probe, shape (i, k) for each number of coefficients k.
 
-    The columns are those of the coefficients with an index; a probe's own are next to each other.
+    Parameters
+    ----------
+    starts
+        Index of each probe's first coefficient.
+    index
+        Index of each column's coefficient; those of one probe are next to each other.
     """
-    positions = np.flatnonzero(np.isin(index, starts[:-1]))
-    sizes = np.diff(starts)[np.searchsorted(starts, index[positions])]
-    return [(int(k), positions[sizes == k]) for k in np.unique(sizes)]
+    first_rows = np.flatnonzero(np.isin(index, starts[:-1]))
+    sizes = np.diff(starts)[np.searchsorted(starts, index[first_rows])]
+    return [first_rows[sizes == k, None] + np.arange(k) for k in np.unique(sizes)]
 
 
 def training_batches(
@@ -239,19 +255,24 @@ def _model_rows(linearized: LinearizedFit, batch: Batch) -> tuple[list[Array], l
 def _probe_columns(
     probes: Sequence[Probe], starts: Indices, batch: Batch, model: LinearizedModel
 ) -> Iterator[tuple[int, Indices, Array]]:
-    """Joint, indices of coefficients, and their filtered columns, shape (i, n), a bounded number at a time."""
+    """Joint, indices of coefficients, and their filtered columns, shape (m, n), a bounded number m at a time.
+
+    Columns that are kept from an earlier model are not evaluated again.
+    """
     motion = model.true_motion
     kept = motion.kept_columns
     if kept is not None and not kept.are_along(motion.q, motion.v, motion.a):
         kept = None
-    known: dict[int, list[tuple[int, Array]]] = {}
-    waiting: dict[int, list[tuple[int, Array]]] = {}
+    known: dict[int, list[tuple[int, Array]]] = {}  # by joint: first coefficient and filtered columns
+    waiting: dict[int, list[tuple[int, Array]]] = {}  # likewise, unfiltered
     keys: dict[int, Hashable] = {}  # by first coefficient, of columns that are to be kept
     for start, probe in zip(starts[:-1].tolist(), probes, strict=True):
         if kept is not None and probe.column_key is not None:
             found = kept.find(probe.column_key)
             if found is not None:
-                known.setdefault(model.equation.joints.index(str(probe.joint)), []).append((start, found[0]))
+                (columns,) = found
+                joint = model.equation.joints.index(str(probe.joint))
+                known.setdefault(joint, []).append((start, columns))
                 continue
             keys[start] = probe.column_key
         for joint, columns in probe.columns(motion, model).items():
@@ -298,46 +319,38 @@ def _solve_all(linearized: LinearizedFit, probes: Sequence[Probe], sums: _ProbeS
 def _solve_same_size(
     linearized: LinearizedFit, probes: Sequence[Probe], index: Indices, sums: _ProbeSums
 ) -> list[ScreenedProbe]:
-    """Probes of k coefficients each, whose indices are given, shape (i, k)."""
+    """Solve probes of k coefficients each, whose indices are given, shape (i, k)."""
     F = linearized.block_count
     block_P = sums.P[:, :, index]  # (F, r, i, k)
     block_h = sums.h[:, index]  # (F, i, k)
-    block_C = sums.C[:, index, : index.shape[1]]  # (F, i, k, k)
-    P, h, C = block_P.sum(axis=0), block_h.sum(axis=0), block_C.sum(axis=0)
-    c, _, schur = _solve(linearized.information, P, h, C, np.zeros(len(linearized.information)))
+    block_CC = sums.CC[:, index, : index.shape[1]]  # (F, i, k, k)
+    P = block_P.sum(axis=0)
+    h = block_h.sum(axis=0)
+    CC = block_CC.sum(axis=0)
+    c, _, schur = _solve(linearized.information, P, h, CC, np.zeros(len(linearized.information)))
 
-    unbounded = (np.inf,) * index.shape[1]
-    lower = np.array([probe.lower or tuple(-x for x in unbounded) for probe in probes])
-    upper = np.array([probe.upper or unbounded for probe in probes])
+    k = index.shape[1]
+    lower = np.array([probe.lower or (-np.inf,) * k for probe in probes])
+    upper = np.array([probe.upper or (np.inf,) * k for probe in probes])
     local = [i for i, probe in enumerate(probes) if probe.is_local]
-    left_out = np.empty((F, *c.shape))  # coefficients without each block
+    c_without = np.empty((F, *c.shape))  # coefficients without each block
     gains = np.empty((F, len(c)))
     for f in range(F):
+        P_f, h_f, CC_f = block_P[f], block_h[f], block_CC[f]
         y0 = linearized.jackknife_shift[f]
-        gram = linearized.gram[f]
-        P_f, h_f, C_f = block_P[f], block_h[f], block_C[f]
-        c_f, X, _ = _solve(linearized.information - gram, P - P_f, h - h_f, C - C_f, y0)
+        c_f, X, _ = _solve(linearized.information - linearized.gram[f], P - P_f, h - h_f, CC - CC_f, y0)
         is_within_bounds = np.logical_and(c_f >= lower, c_f <= upper).all(axis=1, keepdims=True)
-        c_f = np.where(is_within_bounds, c_f, 0.0)
-        c_f[local] = c[local]
-        left_out[f] = c_f
+        c_f = np.where(is_within_bounds, c_f, 0.0)  # what physics forbids explains nothing
+        c_f[local] = c[local]  # other blocks tell nothing of them
+        c_without[f] = c_f
+        dy = -np.einsum("rik,ik->ri", X, c_f)
+        gains[f] = _block_gain(linearized, f, P_f, h_f, CC_f, c_f, dy)
 
-        dy = -np.einsum("rik,ik->ri", X, c_f)  # change of the model's y by the probe
-        residual_score = h_f - np.einsum("rik,r->ik", P_f, y0)
-        cross = np.einsum("rik,ik->ri", P_f, c_f)
-        gains[f] = (
-            2 * (dy * (linearized.score[f] - gram @ y0)[:, None]).sum(axis=0)
-            + 2 * (c_f * residual_score).sum(axis=1)
-            - (dy * (gram @ dy)).sum(axis=0)
-            - 2 * (dy * cross).sum(axis=0)
-            - np.einsum("ik,ikl,il->i", c_f, C_f, c_f)
-        )
-
-    deviation = left_out - left_out.mean(axis=0)
+    deviation = c_without - c_without.mean(axis=0)
     covariance = (F - 1) / F * np.einsum("fik,fil->ikl", deviation, deviation)
     independent_variance = np.einsum("ikk->ik", np.linalg.pinv(schur))
     variance = np.einsum("ikk->ik", covariance)
-    is_determined = independent_variance > 1e-200
+    is_determined = independent_variance > 1e-200  # it is 0 for a column that the model has too
     inflation = (variance / np.where(is_determined, independent_variance, np.inf)).mean(axis=1)
     return [
         ScreenedProbe(probe, c[i], covariance[i], gains[:, i], schur[i], float(inflation[i]))
@@ -345,17 +358,47 @@ def _solve_same_size(
     ]
 
 
-def _solve(A: Array, P: Array, h: Array, C: Array, y0: Array) -> tuple[Array, Array, Array]:
+def _block_gain(linearized: LinearizedFit, f: int, P: Array, h: Array, CC: Array, c: Array, dy: Array) -> Array:
+    """Reduction of a block's squared residual by each probe, ‖e − Q y0‖² − ‖e − Q (y0 + dy) − C c‖², shape (i,).
+
+    Parameters
+    ----------
+    linearized
+        The model, fitted to the other blocks at y0.
+    f
+        Number of the block.
+    P, h, CC
+        Sums over the block's rows, shape (r, i, k), (i, k) and (i, k, k).
+    c, dy
+        Coefficients of each probe, shape (i, k), and the change of y by it, shape (r, i).
+    """
+    y0 = linearized.jackknife_shift[f]
+    gram = linearized.gram[f]
+    model_score = linearized.score[f] - gram @ y0
+    probe_score = h - np.einsum("rik,r->ik", P, y0)
+    cross = np.einsum("rik,ik->ri", P, c)
+    return np.asarray(
+        2 * (dy * model_score[:, None]).sum(axis=0)
+        + 2 * (c * probe_score).sum(axis=1)
+        - (dy * (gram @ dy)).sum(axis=0)
+        - 2 * (dy * cross).sum(axis=0)
+        - np.einsum("ik,ikl,il->i", c, CC, c)
+    )
+
+
+def _solve(A: Array, P: Array, h: Array, CC: Array, y0: Array) -> tuple[Array, Array, Array]:
     """Coefficients of probes, each by itself, about a model with information A, (r, r), and solution y0, (r,).
+
+    Combinations of columns that the model can reproduce get no coefficient.
 
     Returns
     -------
-    Coefficients, (i, k), change of y against each, (r, i, k), and the Schur complement, (i, k, k).
+    Coefficients c, shape (i, k); X = A⁻¹ P, (r, i, k), by which y changes by −X c; and the Schur complement, (i, k, k).
     """
     r, i, k = P.shape
     X = np.asarray(np.linalg.solve(A, P.reshape(r, i * k)).reshape(r, i, k), dtype=np.float64)
-    schur = C - np.einsum("rik,ril->ikl", P, X)
-    squares = np.einsum("ikk->ik", C)
+    schur = CC - np.einsum("rik,ril->ikl", P, X)
+    squares = np.einsum("ikk->ik", CC)
     size = np.sqrt(np.where(squares > _ROUNDING, squares, np.inf))
     values, vectors = np.linalg.eigh(schur / size[:, :, None] / size[:, None, :])
     inverse = np.where(values > _MIN_NEW_SHARE, 1 / np.maximum(values, _MIN_NEW_SHARE), 0.0)

@@ -37,7 +37,7 @@ from idtool.diagnosis.trial import (
     has_fixed_inertia,
     parameter_value,
 )
-from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
+from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import Burst, DataSummary
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
@@ -45,16 +45,17 @@ from idtool.estimation.dataset.experiment import Progress
 Bursts = tuple[Burst, ...]
 
 _REFINED = 7  # candidates that are tried on a finer grid
-_FINALISTS = 5  # candidates that are fitted with the whole model
+_MAX_FINALISTS = 5  # candidates that are fitted with the whole model
 _MIN_FINALIST_GAIN = 0.4  # of the best gain
-_MAX_VALIDATION_RATIO = 1.01  # of the squared residual of held-out data, with an effect over without it
-_MAX_LOSS = 0.2  # of its gains, that an effect may lose in other blocks
+_MAX_VALIDATION_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
+_MAX_LOSS = 0.2  # of its gains in some blocks, that an effect may lose in others
 MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter is at least from zero
-_MIN_GAIN = 1e-4  # of a joint's first squared residual, to which the effects found so far are known
+_MIN_SAVED_SHARE = 1e-4  # of a joint's squared residual without any effect: those found are known no better
 _NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual counts as zero
-_RANGE_EDGE = 1.02  # of a range's end, within which a value is at the end
+_RANGE_EDGE = 1.02  # ratio to a range's end, up to which a value is at the end
+_AT_BOUND = 1e-9  # distance from a bound, up to which a coefficient is at it
 _MAX_STEPS = 5  # of the fit of a candidate for which one step is not enough
-_FINE_VALUES = 7  # between neighbours of the grid
+_FINE_VALUES = 7  # between the neighbours of a value in the grid
 
 
 def find_best_effect(
@@ -66,7 +67,7 @@ def find_best_effect(
     min_share: float = MIN_SHARE,
     skipped: Container[ProbeKey] = (),
 ) -> SelectionStep:
-    """Effect that explains most of a model's residual.
+    """Search for the effect that explains most of a model's residual: one round.
 
     Parameters
     ----------
@@ -96,29 +97,37 @@ def find_best_effect(
     refined = screen_probes(base, list(_refined_probes(to_refine, screened)), progress, "fitting candidates")
     best = best_by_key([*best.values(), *_promising(refined)])
 
-    fitted: list[FittedCandidate] = []
+    finalists: list[FittedCandidate] = []
     rejected: list[Candidate] = []
-    for candidate in _by_gain(best.values())[:_FINALISTS]:
-        best_gain = max((other.screened.gain for other in fitted), default=0.0)
+    for candidate in _by_gain(best.values())[:_MAX_FINALISTS]:
+        best_gain = max((finalist.screened.gain for finalist in finalists), default=0.0)
         if candidate.gain < max(MIN_SIGNIFICANCE**2 * inflation, _MIN_FINALIST_GAIN * best_gain):
             break
         try:
-            finalist = _fit_candidate(base, candidate, progress)
-            reason = _objection(finalist, base, initial, summary)
-            neighbours = _movable_on_joint(base, candidate.probe.joint)
-            if reason and neighbours:  # they may have made up for it so far
-                finalist = _fit_candidate(base, candidate, progress, neighbours)
-                reason = _objection(finalist, base, initial, summary)
+            finalist, objection = _fit_and_judge(candidate, base, initial, summary, progress)
         except FAILURES as failure:
             failed.append(screened_record(candidate, base, not_fitted_reason(failure)))
             continue
-        if reason:
-            rejected.append(screened_record(candidate, base, reason))
+        if objection:
+            rejected.append(screened_record(candidate, base, objection))
         else:
-            fitted.append(finalist)
-    fitted.sort(key=lambda finalist: -finalist.gain)
-    step = select_best(base, fitted, [*rejected, *failed], screened, inflation, progress, min_share)
+            finalists.append(finalist)
+    finalists.sort(key=lambda finalist: -finalist.gain)
+    step = select_best(base, finalists, [*rejected, *failed], screened, inflation, progress, min_share)
     return replace(step, failed=tuple(candidate for candidate in failed if is_reportable(candidate.effect)))
+
+
+def _fit_and_judge(
+    candidate: ScreenedProbe, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary, progress: Progress
+) -> tuple[FittedCandidate, str]:
+    """Candidate fitted with the whole model, and the reason why it is no explanation; empty if it may be one."""
+    fitted = _fit_candidate(base, candidate, progress)
+    objection = _objection(fitted, base, initial, summary)
+    neighbours = _movable_on_joint(base, candidate.probe.joint)
+    if objection and neighbours:  # without the candidate, their parameters may have imitated it
+        fitted = _fit_candidate(base, candidate, progress, neighbours)
+        objection = _objection(fitted, base, initial, summary)
+    return fitted, objection
 
 
 def fit_assumed_effect(
@@ -139,10 +148,9 @@ def fit_assumed_effect(
     bursts
         Time intervals in which the residual is unusually large.
     """
-    # Among the candidates are also those that are fitted along without being named.
     summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
     candidates, _ = _candidate_probes(summary, (effect,))
-    probes = [probe for probe in candidates if probe.effect == effect]
+    probes = [probe for probe in candidates if probe.effect == effect]  # unreported ones are among the candidates
     if target is not None:
         probes = [probe for probe in probes if probe.subject[1] == target]
     screened = screen_probes(base, probes, progress)
@@ -157,7 +165,10 @@ def fit_assumed_effect(
 
 
 def _candidate_probes(summary: DataSummary, effects: Sequence[str] | None) -> tuple[list[Probe], list[Candidate]]:
-    """Hypotheses of all effects that may be missing, and the effects that cannot be tried, with reasons."""
+    """Hypotheses of all effects that may be missing, and the effects that cannot be tried, with reasons.
+
+    Effects that are fitted without being reported are always among them.
+    """
     kinds = {}
     for id, kind in effect_types().items():
         if effects is None or id in effects or not kind.reportable:
@@ -172,14 +183,10 @@ def _candidate_probes(summary: DataSummary, effects: Sequence[str] | None) -> tu
             failed.append(Candidate(kind.id, None, None, 0.0, 0.0, 0, not_fitted_reason(failure)))
             continue
         for probe in own:
-            if not required or _has_any(summary, required, probe.subject[1]):
+            _, owner = probe.subject
+            if not required or any(summary.has_effect(effect, owner) for effect in required):
                 probes.append(probe)
     return probes, failed
-
-
-def _has_any(summary: DataSummary, effects: Sequence[str], owner: str) -> bool:
-    """True if a joint or link has one of the effects."""
-    return any(summary.has_effect(effect, owner) for effect in effects)
 
 
 def _median_inflation(base: LinearizedFit, screened: Iterable[ScreenedProbe]) -> float:
@@ -199,7 +206,7 @@ def _by_gain(screened: Iterable[ScreenedProbe]) -> list[ScreenedProbe]:
 
 
 def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[ScreenedProbe]) -> Iterator[Probe]:
-    """Probes at nonlinear values between the neighbours of the best."""
+    """Probes at nonlinear values about those of the candidates, up to the next ones that were screened."""
     for candidate in candidates:
         probe = candidate.probe
         alike = [other.probe for other in screened if probe_key(other.probe) == probe_key(probe)]
@@ -236,7 +243,7 @@ def _fit_candidate(
     entries = (*base.experiment.config.effects, candidate.entry)
     moving = [*neighbours, len(entries) - 1]
     trial = fit_trial(base, entries, moving, progress, _MAX_STEPS if neighbours else 1)
-    if _undetermined_parameter(trial):  # which may be so only far from the optimum
+    if _undetermined_parameter(trial):  # it may be determined closer to the optimum
         trial = fit_trial(base, trial.entries, moving, progress, _MAX_STEPS)
     return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
 
@@ -251,7 +258,7 @@ def _movable_on_joint(base: LinearizedFit, joint: str | None) -> list[int]:
 
 
 def not_fitted_reason(failure: Exception) -> str:
-    """Reason why a candidate lost that cannot be fitted."""
+    """Reason why a candidate that cannot be fitted was rejected."""
     return f"cannot be fitted together with the rest of the model: {failure_reason(failure)}"
 
 
@@ -280,16 +287,15 @@ def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: Lineari
 def _implausibility(candidate: FittedCandidate, summary: DataSummary) -> str:
     """Reason why no robot has such an effect, as a clause; empty if one may."""
     fit = candidate.trial.linearized
-    equation = fit.experiment.equation
     entry = candidate.trial.entries[-1]
-    key = effect_from_entry(entry, fit.experiment.model).key
     values = dict(entry.values)
-    offsets = equation.offsets()
-    for effect, first, end in zip(equation.effects, offsets[:-1], offsets[1:], strict=True):
-        if isinstance(effect, NamedEffect) and effect.key == key and end > first:
-            unknown = np.full((end - first, end - first), np.inf)
-            linear = effect.parameters(fit.estimate.theta[first:end], unknown)
-            values |= {name: value for name, (value, _) in linear.items()}
+    found = fit.find_effect(entry)
+    if found is not None:
+        effect, part = found
+        theta = fit.estimate.theta[part]
+        unknown_covariance = np.full((len(theta), len(theta)), np.inf)
+        linear = effect.parameters(theta, unknown_covariance)
+        values |= {name: value for name, (value, _) in linear.items()}
     return effect_types()[entry.effect].implausibility(values, entry.joint, summary)
 
 
@@ -297,21 +303,27 @@ def _worsens_validation(candidate: FittedCandidate, base: LinearizedFit) -> bool
     """True if an effect increases the error on held-out data of the joints it acts on; False without such data."""
     equation = candidate.trial.linearized.experiment.equation
     joint = candidate.probe.joint
-    reached = [joint is None or name == joint for name in equation.joints]
-    unit = np.square(base.noise)
-    with_effect = (held_out_mean_squares(candidate.trial.linearized, equation) / unit)[reached].sum()
-    without = (held_out_mean_squares(base, equation) / unit)[reached].sum()
-    return bool(with_effect > _MAX_VALIDATION_RATIO * without)  # NaN without held-out data
+    is_reached = [joint is None or name == joint for name in equation.joints]
+    variance = np.square(base.noise)
+    with_effect = held_out_mean_squares(candidate.trial.linearized, equation) / variance
+    without = held_out_mean_squares(base, equation) / variance
+    # False without held-out data, where both are NaN
+    return bool(with_effect[is_reached].sum() > _MAX_VALIDATION_RATIO * without[is_reached].sum())
 
 
 def _undetermined_parameter(trial: TrialFit) -> str:
-    """First nonlinear parameter of the newest effect that is as large as its error or at an end of its range."""
+    """First nonlinear parameter of the newest effect with too large an error or at an end of its range; empty if none.
+
+    Optional and open-ended parameters need not be determined.
+    """
     last = len(trial.entries) - 1
     entry = trial.entries[last]
     for parameter in effect_types()[entry.effect].nonlinear_parameters:
         error = trial.errors.get((last, parameter.name))
         value = parameter_value(entry, parameter.name)
-        if error is None or not isinstance(value, float) or parameter.optional_maximum is not None:
+        if error is None or not isinstance(value, float):
+            continue
+        if parameter.open_ended or parameter.optional_maximum is not None:
             continue
         max_error = np.inf
         if parameter.max_standard_error is not None:
@@ -319,15 +331,17 @@ def _undetermined_parameter(trial: TrialFit) -> str:
         elif parameter.positive:
             max_error = value / MIN_PARAMETER_SIGNIFICANCE
         low, high = trial.ranges.get((last, parameter.name), (-np.inf, np.inf))
-        if parameter.open_ended:
-            continue
-        if not (error < max_error and low * _RANGE_EDGE < value < high / _RANGE_EDGE):
+        is_inside = low * _RANGE_EDGE < value < high / _RANGE_EDGE
+        if not (error < max_error and is_inside):
             return parameter.name
     return ""
 
 
 def _is_within_bounds(fit: LinearizedFit, base: LinearizedFit) -> bool:
-    """True if, fitted as a whole, the new coefficients are within their bounds, and not all at the lower one."""
+    """True if, fitted as a whole, the new coefficients are within their bounds, and not all at the lower one.
+
+    One with every coefficient at its lower bound is not there at all.
+    """
     base_keys = {c.key for c in base.experiment.equation.coefficients}
     new = []
     for c, value in zip(fit.experiment.equation.coefficients, fit.estimate.theta, strict=True):
@@ -335,16 +349,16 @@ def _is_within_bounds(fit: LinearizedFit, base: LinearizedFit) -> bool:
             new.append((c, value))
     if not new:
         return True
-    above_lower = any(value > c.lower + 1e-9 for c, value in new)
-    return above_lower and all(value < c.upper for c, value in new)
+    is_present = any(value > c.lower + _AT_BOUND for c, value in new)
+    return is_present and all(value < c.upper for c, value in new)
 
 
 def _is_relevant(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit) -> bool:
-    """True if on some joint an effect saves more than a small share of the residual without any effect.
+    """True if on some joint an effect explains more than what the effects found before leave by their uncertainty.
 
-    A strong effect that is known to a hundredth leaves a hundredth of itself, which is no effect of its own.
+    A strong effect whose size is known to a hundredth leaves a hundredth of itself, which is no effect of its own.
     """
     saved = (base.sse - fit.sse).sum(axis=0) * np.square(base.noise)
-    uncertain = _MIN_GAIN * initial.sse.sum(axis=0) * np.square(initial.noise)
+    uncertain = _MIN_SAVED_SHARE * initial.sse.sum(axis=0) * np.square(initial.noise)
     negligible = base.row_counts.sum(axis=0) * np.square(_NEGLIGIBLE * base.rms_torque)
     return bool((saved > np.maximum(uncertain, negligible)).any())

@@ -1,7 +1,7 @@
 """`TrialFit`: a model with further effects, fitted as a whole, with their nonlinear parameters at the optimum.
 
-Nonlinear parameters are found by Gauss and Newton's method on the residual of the linear coefficients (variable
-projection; Golub & Pereyra 1973, in the form of Kaufman 1975): the change of the residual with a parameter is one more
+Nonlinear parameters are found by variable projection (Golub & Pereyra 1973, in the form of Kaufman 1975): Gauss-Newton
+steps on the residual that the best linear coefficients leave. The change of the residual with a parameter is one more
 column. `screen_probes` evaluates it as any other, which gives the step and its standard error.
 """
 
@@ -34,8 +34,8 @@ Range = tuple[float, float]
 
 FAILURES = (IdtoolError, ArithmeticError, ValueError, RuntimeError)  # of a model that cannot be fitted
 
-_DIFFERENCE = 1e-3  # of a value, or this if it is small: step of a finite difference
-_SMALL_VALUE = 0.1  # below which a value counts as small
+_DIFFERENCE = 1e-3  # of a value: step of a finite difference
+_SMALL_VALUE = 0.1  # below it, a finite difference is that of this value
 _MAX_STEP = 0.7  # of a value
 _STEP_LENGTHS = (1.0, 0.3)  # of a Gauss-Newton step, tried in turn
 _MIN_GAIN = 1e-4  # of the squared residual, that makes another step worthwhile
@@ -123,7 +123,7 @@ def has_fixed_inertia(experiment: Experiment) -> bool:
 
 
 def fit_trial(
-    before: LinearizedFit, entries: Sequence[EffectEntry], moving: Sequence[int], progress: Progress, steps: int = 1
+    before: LinearizedFit, entries: Sequence[EffectEntry], moving: Sequence[int], progress: Progress, max_steps: int = 1
 ) -> TrialFit:
     """Fit a model with other effects, on the rows and in the units of another fit.
 
@@ -137,7 +137,7 @@ def fit_trial(
         Indices of those whose nonlinear parameters are moved.
     progress
         Callback for the stage and its progress, from 0 to 1.
-    steps
+    max_steps
         Number of Gauss-Newton steps at most.
 
     Raises
@@ -154,18 +154,18 @@ def fit_trial(
             for name in kind.grid_parameters():
                 current, errors[i, name] = _grid_search(current, i, kind, name, progress)
 
-    for _ in range(steps):
+    for _ in range(max_steps):
         keys = _gradient_keys(current.experiment.config.effects, moving)
         if not keys:
             break
-        moved, step_errors = _gauss_newton_step(current, keys, ranges, progress)
+        better, step_errors = _gauss_newton_step(current, keys, ranges, progress)
         errors |= step_errors
-        if moved is None:
+        if better is None:
             break
-        gain = current.total_cv_squared_error - moved.total_cv_squared_error
-        is_worthwhile = gain > _MIN_GAIN * current.total_cv_squared_error
-        current = moved
-        if not is_worthwhile:
+        gain = current.total_cv_squared_error - better.total_cv_squared_error
+        has_converged = not gain > _MIN_GAIN * current.total_cv_squared_error
+        current = better
+        if has_converged:
             break
     return TrialFit(current, errors, ranges)
 
@@ -173,7 +173,7 @@ def fit_trial(
 def _parameter_ranges(
     before: LinearizedFit, entries: Sequence[EffectEntry], moving: Sequence[int]
 ) -> dict[ParameterKey, Range]:
-    """Ranges of the positive nonlinear parameters about all values that the search tries."""
+    """Ranges of positive nonlinear parameters, about all values that the search tries, and of optional ones."""
     summary = summarize_data(before)
     ranges: dict[ParameterKey, Range] = {}
     for i in moving:
@@ -203,7 +203,7 @@ def _gradient_keys(entries: Sequence[EffectEntry], moving: Sequence[int]) -> lis
 
 
 def parameter_value(entry: EffectEntry, name: str) -> object:
-    """Value of a parameter without its standard error; None if it has none.
+    """Value of a parameter without its standard error; None if the entry does not have the parameter.
 
     ``com.0`` names the first element of the list ``com``.
     """
@@ -232,28 +232,19 @@ def _with_value(entry: EffectEntry, name: str, value: float) -> EffectEntry:
 def _gauss_newton_step(
     current: LinearizedFit, keys: Sequence[ParameterKey], ranges: Mapping[ParameterKey, Range], progress: Progress
 ) -> tuple[LinearizedFit | None, dict[ParameterKey, float]]:
-    """Fit after a step of all parameters together, None if no step helps, and their standard errors."""
-    entries = list(current.experiment.config.effects)
-    values = [_number(entries[i], name) for i, name in keys]
-    differences = []
-    for key, value in zip(keys, values, strict=True):
-        difference = _DIFFERENCE * max(abs(value), _SMALL_VALUE)
-        _, highest = ranges.get(key, _UNBOUNDED)
-        differences.append(difference if value + difference < highest else -difference)
-    probe = _parameter_probe(current, keys, values, differences)
+    """Fit after a step of all parameters together, None if no step helps, and the parameters' standard errors."""
+    entries = current.experiment.config.effects
+    probe = _parameter_probe(current, keys, ranges)
     (screened,) = screen_probes(current, [probe], progress, "optimizing nonlinear parameters")
     standard_errors = np.sqrt(np.diag(screened.covariance))
     errors = {key: float(x) for key, x in zip(keys, standard_errors, strict=True)}
 
     for length in _STEP_LENGTHS:
         changed = list(entries)
-        for (i, name), value, step in zip(keys, values, length * screened.c, strict=True):
-            is_size = value > 0 and _is_positive(entries[i].effect, name)
-            if is_size or abs(value) > _SMALL_VALUE:
-                longest = _MAX_STEP * max(abs(value), _DIFFERENCE)
-                step = float(np.clip(step, -longest, longest))
-            moved = np.clip(value + step, *ranges.get((i, name), _UNBOUNDED))
-            changed[i] = _with_value(changed[i], name, float(moved))
+        for key, step in zip(keys, length * screened.c, strict=True):
+            i, name = key
+            moved = _moved_value(entries[i], name, step, ranges.get(key, _UNBOUNDED))
+            changed[i] = _with_value(changed[i], name, moved)
         try:
             candidate = linearize_fit(with_effects(current.experiment, changed, current.theta), progress, current)
         except FAILURES:
@@ -263,17 +254,29 @@ def _gauss_newton_step(
     return None, errors
 
 
+def _moved_value(entry: EffectEntry, name: str, step: float, bounds: Range) -> float:
+    """Value of a parameter after a step, which is limited to a share of the value unless that may cross zero."""
+    value = _number(entry, name)
+    may_cross_zero = abs(value) <= _SMALL_VALUE and not (value > 0 and _is_positive(entry.effect, name))
+    if not may_cross_zero:
+        longest = _MAX_STEP * max(abs(value), _DIFFERENCE)
+        step = float(np.clip(step, -longest, longest))
+    return float(np.clip(value + step, *bounds))
+
+
 def _grid_search(
     current: LinearizedFit, i: int, kind: type[JointEffect], name: str, progress: Progress
 ) -> tuple[LinearizedFit, float]:
     """Fit with the value near the present one that explains most, and the value's standard error.
+
+    That is half the range of values that explain nearly as much, or half a step of the grid.
 
     Parameters
     ----------
     current
         Fit of the model with the effect.
     i, kind
-        Index of the effect, and its class.
+        Index of the effect in the configuration, and its class.
     name
         The parameter.
     progress
@@ -282,8 +285,8 @@ def _grid_search(
     entries = list(current.experiment.config.effects)
     entry = entries[i]
     others = [*entries[:i], *entries[i + 1 :]]
-    without_effect = with_effects(current.experiment, others, current.theta)
-    without = linearize_fit(without_effect, progress, current, own_rows=True)
+    reduced = with_effects(current.experiment, others, current.theta)
+    without = linearize_fit(reduced, progress, current, own_rows=True)
     summary = summarize_data(without)
     joint = current.experiment.equation.joints.index(str(entry.joint))
     nonlinear_values = {}
@@ -300,23 +303,32 @@ def _grid_search(
     grid_step = best * (_GRID[1] / _GRID[0] - 1)
     error = max(max(near_best) - min(near_best), grid_step) / 2
     entries[i] = _with_value(entry, name, best)
-    # Where the effect's columns are not defined is part of what it explains.
+    # on the rows at which its own columns are defined: that they are not at others is part of what it explains
     changed = with_effects(current.experiment, entries, current.theta)
     return linearize_fit(changed, progress, current, own_rows=True), error
 
 
 def _is_positive(effect: str, name: str) -> bool:
+    """True if a nonlinear parameter of an effect must be above 0."""
     parameters = effect_types()[effect].nonlinear_parameters
     return any(parameter.name == name and parameter.positive for parameter in parameters)
 
 
 def _parameter_probe(
-    current: LinearizedFit, keys: Sequence[ParameterKey], values: Sequence[float], differences: Sequence[float]
+    current: LinearizedFit, keys: Sequence[ParameterKey], ranges: Mapping[ParameterKey, Range]
 ) -> Probe:
-    """Probe of the change of the residual with nonlinear parameters, by finite differences."""
+    """Probe of the change of the residual with nonlinear parameters, by finite differences within their ranges."""
+    differences = []
     equations = []
-    for (i, name), value, difference in zip(keys, values, differences, strict=True):
+    for key in keys:
+        i, name = key
         entries = list(current.experiment.config.effects)
+        value = _number(entries[i], name)
+        difference = _DIFFERENCE * max(abs(value), _SMALL_VALUE)
+        _, highest = ranges.get(key, _UNBOUNDED)
+        if value + difference >= highest:
+            difference = -difference
+        differences.append(difference)
         entries[i] = _with_value(entries[i], name, value + difference)
         # At the same operating point: a difference must be the parameter's alone.
         equations.append(with_effects(current.experiment, entries).equation)
@@ -328,4 +340,5 @@ def _parameter_probe(
             changes.append((model.residual - changed.residual) / difference)
         return {j: np.stack([change[j] for change in changes]) for j in range(len(motion.q))}
 
-    return Probe("shape", None, None, columns, len(keys), lambda c, information: None)
+    # a probe of no effect, so that it has no configuration entry
+    return Probe("", None, None, columns, len(keys), lambda c, information: None)

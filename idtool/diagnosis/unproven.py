@@ -1,7 +1,7 @@
 """Effects without enough evidence: small beside another one, and their joints stay above the noise floor with them.
 
-What an effect is only nearly right about, such as the deflection of an elastic joint, leaves a residual in proportion
-to it, which some other effect always imitates in part. An effect that is truly there explains all that is left.
+A large effect whose model is only nearly right, such as that of an elastic joint, leaves a residual in proportion to
+itself. Some other effect always imitates a part of that, while one that is truly there explains all that is left.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], prog
     current
         The model with all effects.
     without
-        The models without each of them, on the rows at which their own columns are defined: those of an effect may not
-        be defined just where it acts.
+        The models without each of the effects, on the rows at which their own columns are defined: those of the effect
+        that is left out may be undefined just where it acts.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
@@ -37,9 +37,9 @@ def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], prog
     above_floor = []
     for reduced in without:
         complete = linearize_fit(current.experiment, progress, reduced)
-        mean_squares = _mean_squares(complete)
-        explained.append(_mean_squares(reduced) - mean_squares)
-        above_floor.append(np.maximum(mean_squares - np.square(floor.noise), 0.0))
+        remaining = _mean_squares(complete)
+        explained.append(_mean_squares(reduced) - remaining)
+        above_floor.append(np.maximum(remaining - np.square(floor.noise), 0.0))
     totals = np.sum(explained, axis=1)
 
     unproven = []
@@ -51,7 +51,15 @@ def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], prog
 
 
 def _explained_share(explained: Array, above_floor: Array) -> float:
-    """Share of the residual above the noise floor that an effect explains, on the joint where it explains most."""
+    """Share of the residual above the noise floor that an effect explains, on the joint where it explains most.
+
+    Parameters
+    ----------
+    explained
+        Mean square that it explains of each joint's residual, shape (nv,).
+    above_floor
+        Mean square that remains above the noise floor with it, shape (nv,).
+    """
     j = int(np.argmax(explained))
     return float(explained[j] / max(explained[j] + above_floor[j], np.finfo(float).tiny))
 

@@ -8,6 +8,7 @@ Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from typing import Protocol
@@ -39,6 +40,9 @@ class TorqueEquation(Protocol):
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
         """The unknowns."""
+
+    def effect_slices(self) -> Iterator[tuple[Effect, slice]]:
+        """Each term with the range of its coefficients among the unknowns."""
 
     def true_motion(self, motion: Motion) -> Motion:
         """Motion as the effects correct it."""
@@ -112,10 +116,8 @@ class LinearizedModel:
     def friction_torque(self, joint: int) -> Array:
         """Friction torque of a joint, shape (N,)."""
         total = np.zeros(len(self.true_motion.t))
-        first = 0
-        for effect in self.equation.effects:
-            theta = self.theta[first : first + len(effect.coefficients)]
-            first += len(effect.coefficients)
+        for effect, part in self.equation.effect_slices():
+            theta = self.theta[part]
             active = effect.active[joint]
             if isinstance(effect, NamedEffect) and effect.is_friction and len(active):
                 total += theta[active] @ _columns(effect, self.true_motion)[joint]
@@ -124,10 +126,8 @@ class LinearizedModel:
     def friction_level(self, joint: int) -> Array:
         """Largest friction torque of a joint at each sample, whatever its direction, shape (N,)."""
         level = np.zeros(len(self.true_motion.t))
-        first = 0
-        for effect in self.equation.effects:
-            theta = self.theta[first : first + len(effect.coefficients)]
-            first += len(effect.coefficients)
+        for effect, part in self.equation.effect_slices():
+            theta = self.theta[part]
             if not (isinstance(effect, NamedEffect) and effect.is_friction and len(effect.active[joint])):
                 continue
             if isinstance(effect, DryFriction):
@@ -155,10 +155,8 @@ class LinearizedModel:
     def _added_rotor_inertia(self, joint: int) -> float:
         """Inertia of a joint's rotors that are not bodies."""
         inertia = 0.0
-        first = 0
-        for effect in self.equation.effects:
-            theta = self.theta[first : first + len(effect.coefficients)]
-            first += len(effect.coefficients)
+        for effect, part in self.equation.effect_slices():
+            theta = self.theta[part]
             if isinstance(effect, NamedEffect) and effect.is_rotor_inertia:
                 inertia += float(theta[effect.active[joint]].sum())
         return inertia

@@ -6,7 +6,7 @@ the same low-pass. Here a block is their transpose in one array, the torque last
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 
@@ -96,6 +96,12 @@ class LinearModel:
         """Index of each effect's first coefficient, and p."""
         return np.cumsum([0, *(len(effect.coefficients) for effect in self.effects)])
 
+    def effect_slices(self) -> Iterator[tuple[Effect, slice]]:
+        """Each effect with the range of its coefficients among the p unknowns."""
+        offsets = self.offsets().tolist()
+        for effect, start, end in zip(self.effects, offsets[:-1], offsets[1:], strict=True):
+            yield effect, slice(start, end)
+
     def active(self) -> tuple[Indices, ...]:
         """Per joint, indices of the unknowns in its equation."""
         firsts = self.offsets()[:-1]
@@ -137,9 +143,8 @@ class LinearModel:
         """
         true = self.true_motion(motion)
         residual = self._identified_torque(true).copy()
-        offsets = self.offsets()
-        for effect, first, end in zip(self.effects, offsets[:-1], offsets[1:], strict=True):
-            own_theta = theta[first:end]
+        for effect, part in self.effect_slices():
+            own_theta = theta[part]
             for joint, columns in enumerate(_columns(effect, true)):
                 if len(columns):
                     residual[joint] -= own_theta[effect.active[joint]] @ columns
@@ -349,9 +354,8 @@ class LinearModel:
             Coefficients, shape (p,).
         """
         mechanism = Mechanism(model)
-        offsets = self.offsets()
-        for effect, first, end in zip(self.effects, offsets[:-1], offsets[1:], strict=True):
-            effect.add_to_forward_model(theta[first:end], mechanism)
+        for effect, part in self.effect_slices():
+            effect.add_to_forward_model(theta[part], mechanism)
         return mechanism
 
 

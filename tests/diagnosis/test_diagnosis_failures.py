@@ -20,7 +20,7 @@ from sentences import sentences
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.data.signals import Motion
 from idtool.diagnosis import diagnose as module
-from idtool.diagnosis import effect_search, extended_model
+from idtool.diagnosis import effect_search, extended_model, reversal_rows
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.extended_model import ExtendedModel
@@ -249,7 +249,7 @@ def test_what_was_found_before_ctrl_c_is_reported(arm: Experiment, monkeypatch: 
             raise KeyboardInterrupt
         return inner(*arguments, **options)
 
-    for part in (effect_search, extended_model):
+    for part in (effect_search, extended_model, reversal_rows):
         monkeypatch.setattr(part, "linearize_fit", linearize_fit)
     found = diagnosed(arm)
     assert named(found) <= {SPRING, OFFSET}

@@ -15,7 +15,7 @@ from resting_quadruped import OFFSET, OFFSET_JOINT, SPRING_JOINT, STIFFNESS, wri
 
 import idtool
 from idtool.diagnosis import diagnose as module
-from idtool.diagnosis import effect_search
+from idtool.diagnosis import effect_search, reversal_rows
 from idtool.diagnosis.effect_search import EffectSearch
 
 pytestmark = pytest.mark.slow
@@ -123,7 +123,8 @@ def test_all_is_written_wherever_the_search_ends(
             raise failure
         return inner(*arguments, **options)
 
-    monkeypatch.setattr(effect_search, "linearize_fit", linearize_fit)
+    for part in (effect_search, reversal_rows):
+        monkeypatch.setattr(part, "linearize_fit", linearize_fit)
     report = written(files, tmp_path / "out")
     assert count[0] >= calls
     assert named(report) <= HIDDEN

@@ -11,12 +11,12 @@ import pytest
 from disturbed import Hidden, experiment_of, silent, torque_on_joint
 
 from idtool.common.exceptions import SolverError
-from idtool.diagnosis import diagnose as diagnose_module
-from idtool.diagnosis import selection_round
-from idtool.diagnosis.effect_search import REVERSAL_MARGIN, EffectSearch
+from idtool.diagnosis import effect_order, selection_round
+from idtool.diagnosis.effect_order import first_harmful, remove_harmful
+from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
 from idtool.diagnosis.linearized_fit import linearize_fit
-from idtool.diagnosis.records import ErrorSummary
+from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN
 from idtool.diagnosis.trial import with_fixed_inertia
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import fit
@@ -185,13 +185,12 @@ def test_an_effect_that_helps_only_beside_a_larger_one_comes_after_it(tmp_path: 
     experiment = experiment_of(tmp_path, together(stop, small))
     order = [("torque_offset", "j1"), ("end_stop", "j1")]
     search = search_with(experiment, order)
-    first = fit(experiment, silent)
-    harmful = diagnose_module._first_harmful(search, errors_of_fit(first))
-    assert harmful is search.added[0]
-    diagnose_module._remove_harmful(search, first)
+    error = errors_of_fit(fit(experiment, silent)).torque["overall"]
+    assert first_harmful(search, error) is search.added[0]
+    remove_harmful(search, error)
     assert owners(search) == order[::-1]
     assert not search.removed
-    assert diagnose_module._first_harmful(search, errors_of_fit(first)) is None
+    assert first_harmful(search, error) is None
 
 
 def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,7 +202,7 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
     changing = torque_on_joint(0, lambda t, q, v, tau: np.where(t < 0.69 * t[-1], 0.5, -0.5))
     experiment = with_fixed_inertia(experiment_of(tmp_path, together(changing, offset)))
     search = search_with(experiment, [("torque_offset", "j1"), OFFSET])
-    diagnose_module._remove_harmful(search, fit(experiment, silent))
+    remove_harmful(search, errors_of_fit(fit(experiment, silent)).torque["overall"])
     assert owners(search) == entries_in_model(search) == [OFFSET]
     assert search.removed == ["torque_offset on j1 was removed again: it increases the error on the held-out data"]
 
@@ -216,8 +215,6 @@ def test_effects_that_help_only_together_stay(
     experiment = experiment_of(tmp_path, spring, rows=slice(4000))
     search = search_with(experiment, [SPRING, OFFSET])
     errors = [1.0, alone, together]
-    without = ErrorSummary({"overall": errors[0]}, None, None)
-    monkeypatch.setattr(diagnose_module, "errors_of_fit", lambda fitted: without)
-    monkeypatch.setattr(diagnose_module, "_overall_error", lambda search, entries: errors[len(entries)])
-    diagnose_module._remove_harmful(search, fit(experiment, silent))
+    monkeypatch.setattr(effect_order, "_overall_error", lambda search, entries: errors[len(entries)])
+    remove_harmful(search, errors[0])
     assert sorted(owners(search)) == sorted(left)

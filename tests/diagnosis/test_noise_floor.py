@@ -13,9 +13,9 @@ from prescribed_motions import Log, prescribed_motion, silent, sines, with_torqu
 from scipy.integrate import cumulative_trapezoid
 from spatial_arm import RATE, experiment, in_band, written
 
-from idtool.diagnosis.diagnose import _reported_floor
 from idtool.diagnosis.noise_floor import NoiseFloor, estimate_noise_floor
 from idtool.diagnosis.records import ErrorSummary
+from idtool.diagnosis.unexplained import RemainingResidual
 
 Array = NDArray[np.float64]
 
@@ -140,6 +140,6 @@ def test_the_reported_floor_counts_what_is_only_fitted_along() -> None:
     floor = NoiseFloor(np.array([0.3, 0.4]), np.zeros(2), np.zeros(2), np.ones(2))
     remaining = ErrorSummary({}, {"a": 0.35, "b": 0.5, "overall": 0.4}, None)
     after = ErrorSummary({}, {"a": 0.45, "b": 0.49, "overall": 0.5}, None)
-    found = _reported_floor(floor, remaining, after)
+    found = RemainingResidual(remaining, [], floor).reported_floor(after)
     expected = np.sqrt(0.3**2 + 0.45**2 - 0.35**2)
     assert found == pytest.approx({"a": expected, "b": 0.4, "overall": np.sqrt((expected**2 + 0.4**2) / 2)})

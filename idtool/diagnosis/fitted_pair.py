@@ -1,0 +1,253 @@
+"""`FittedPair`: the fitted models of a simulator and of a robot, each with the effects of both.
+
+Term by term, the simulator's model can be changed to what the robot has, and compared with the robot's logs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.trial import FAILURES, fit_trial, has_fixed_inertia, with_effects
+from idtool.dynamics.effects import NamedEffect, effect_from_entry
+from idtool.dynamics.mechanism import Mechanism
+from idtool.estimation.command_delay import with_delay
+from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.evaluation.rollouts import evaluate_rollouts
+from idtool.estimation.evaluation.torque_errors import evaluate
+from idtool.estimation.fit import Fit, fit
+from idtool.robot.config import EffectEntry, UncertainValue
+from idtool.robot.model import RobotModel
+
+TermKey = tuple[str, str, int]  # effect, what it acts on, number among several of a kind there
+
+RIGID_BODY = "rigid_body"
+ALL_BODIES: TermKey = (RIGID_BODY, "", 0)
+
+_MAX_ITERATIONS = 3  # of the fit of nonlinear parameters
+
+
+@dataclass(frozen=True)
+class GapLevel:
+    """Errors of a model on the robot's logs.
+
+    Attributes
+    ----------
+    torque
+        RMS torque error by joint, and ``overall`` [N·m or N].
+    position
+        RMS position error of the rollouts [rad or m]; None if they were not simulated.
+    """
+
+    torque: Mapping[str, float]
+    position: Mapping[str, float] | None
+
+
+@dataclass(frozen=True)
+class FittedTerm:
+    """An effect of a fitted model.
+
+    Attributes
+    ----------
+    effect
+        The effect.
+    entry
+        Its entry in the configuration; None for one under ``friction``.
+    theta, covariance
+        Its coefficients, shape (m,), and the covariance of their errors, shape (m, m).
+    """
+
+    effect: NamedEffect
+    entry: EffectEntry | None
+    theta: Array
+    covariance: Array
+
+    def parameters(self) -> dict[str, tuple[Any, Any]]:
+        """Values and standard errors by name."""
+        values: dict[str, tuple[Any, Any]] = {}
+        if self.entry is not None:
+            for name, value in self.entry.values.items():
+                values[name] = (value, _configured_error(self.entry.parameters[name]))
+        values.update(self.effect.parameters(self.theta, self.covariance))
+        return values
+
+
+class FittedPair:
+    """Fitted models of a simulator and of a robot, each with the effects of both.
+
+    Attributes
+    ----------
+    simulator_fit, robot_fit
+        The fits to the logs of each.
+    simulator_terms, robot_terms
+        Effects of these fits besides the bodies.
+
+    Parameters
+    ----------
+    simulator, robot
+        Fits of the two, each with the effects that its own logs show.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    """
+
+    def __init__(self, simulator: Fit, robot: Fit, progress: Progress) -> None:
+        self._progress = progress
+        simulator = _with_refitted_delay(simulator, progress)
+        robot = _with_refitted_delay(robot, progress)
+        self.simulator_fit = _with_effects_of(simulator, robot, progress)
+        self.robot_fit = _with_effects_of(robot, simulator, progress)
+        self.simulator_terms = _terms(self.simulator_fit)
+        self.robot_terms = _terms(self.robot_fit)
+
+    @property
+    def keys(self) -> list[TermKey]:
+        """Effects of both, and the bodies if the robot's were identified."""
+        keys = list(dict.fromkeys([*self.simulator_terms, *self.robot_terms]))
+        return keys if has_fixed_inertia(self.robot_fit.experiment) else [*keys, ALL_BODIES]
+
+    def changed_simulator(self, changed: Collection[TermKey]) -> tuple[Experiment, Array]:
+        """The simulator's model with changes, on the robot's logs, and its coefficients, shape (p,).
+
+        Parameters
+        ----------
+        changed
+            Keys of the effects that are as the robot has them.
+        """
+        terms = []
+        for key in self.keys:
+            term = (self.robot_terms if key in changed else self.simulator_terms).get(key)
+            if term is not None:
+                terms.append(term)
+        entries = [term.entry for term in terms if term.entry is not None]
+        fitted = self.robot_fit
+        experiment = with_effects(fitted.experiment, entries, fitted.estimate.theta)
+        equation = experiment.equation
+        theta = equation.prior.copy()
+        values = {term.effect.key: term.theta for term in terms}
+        for effect, part in equation.effect_slices():
+            if isinstance(effect, NamedEffect):
+                theta[part] = values[effect.key]
+            elif ALL_BODIES in changed:
+                theta[part] = fitted.estimate.theta[part]
+        if equation.depends_on_parameters:
+            experiment = replace(experiment, equation=equation.linearized_at(theta))
+        return experiment, theta
+
+    def mean_squared_errors(self, changed: Collection[TermKey]) -> Array:
+        """Mean squared torque error of `changed_simulator` on the robot's logs, shape (nv,) [(N·m)² or N²]."""
+        experiment, theta = self.changed_simulator(changed)
+        evaluation = evaluate(experiment, {"model": theta}, self.robot_fit.has_held_out, self._progress)
+        errors = evaluation.errors["model"]
+        return np.asarray(errors.sum_squares_in_band / max(errors.samples, 1))
+
+    def gap_level(self, changed: Collection[TermKey], simulate: bool) -> GapLevel:
+        """Errors of `changed_simulator` on the robot's logs."""
+        mean_squares = self.mean_squared_errors(changed)
+        joints = self.robot_fit.experiment.equation.joints
+        torque = dict(zip(joints, np.sqrt(mean_squares).tolist(), strict=True))
+        torque["overall"] = float(np.sqrt(mean_squares.mean()))
+        position = None
+        if simulate:
+            experiment, theta = self.changed_simulator(changed)
+            rollouts = evaluate_rollouts(experiment, {"model": theta}, self.robot_fit.has_held_out, self._progress)
+            if "model" in rollouts.errors:
+                position = rollouts.errors["model"].rmse(joints, "position")
+        return GapLevel(torque, position)
+
+
+def _configured_error(given: Any) -> Any:
+    """Standard error of a configuration's parameter; None if it has none."""
+    if isinstance(given, list):
+        return [_configured_error(x) for x in given]
+    return given.get("standard_error") if isinstance(given, Mapping) else None
+
+
+def _terms(fitted: Fit) -> dict[TermKey, FittedTerm]:
+    """Effects of a fitted model besides the bodies."""
+    experiment = fitted.experiment
+    entries = {effect_from_entry(entry, experiment.model).key: entry for entry in experiment.config.effects}
+    terms: dict[TermKey, FittedTerm] = {}
+    for effect, part in experiment.equation.effect_slices():
+        if not isinstance(effect, NamedEffect):
+            continue
+        covariance = fitted.uncertainty.covariance[part, part]
+        term = FittedTerm(effect, entries.get(effect.key), fitted.estimate.theta[part], covariance)
+        owner = str(effect.key[1]) if len(effect.key) > 1 else ""
+        number = 0
+        while (effect.id, owner, number) in terms:
+            number += 1
+        terms[effect.id, owner, number] = term
+    return terms
+
+
+def _with_effects_of(own: Fit, other: Fit, progress: Progress) -> Fit:
+    """A fit with the effects of another besides its own: those with coefficients, and those that every log has."""
+    own_terms = _terms(own)
+    entries = list(own.experiment.config.effects)
+    moving = []
+    for key, term in _terms(other).items():
+        if key in own_terms or term.entry is None:
+            continue
+        background = term.effect.background_entry()
+        if background is not None:
+            moving.append(len(entries))
+            entries.append(term.entry.model_copy(update={"parameters": background.parameters}))
+        elif len(term.theta):
+            entries.append(term.entry)
+    if len(entries) == len(own.experiment.config.effects):
+        return own
+    try:
+        experiment = with_effects(own.experiment, entries, own.estimate.theta)
+        return fit(_with_fitted_values(experiment, moving, progress), progress)
+    except FAILURES:  # these data do not determine them
+        return own
+
+
+def _with_fitted_values(experiment: Experiment, moving: Sequence[int], progress: Progress) -> Experiment:
+    """The experiment with the nonlinear parameters of some of its effects fitted, with their standard errors."""
+    if not moving:
+        return experiment
+    entries = experiment.config.effects
+    trial = fit_trial(linearize_fit(experiment, progress), entries, moving, progress, _MAX_ITERATIONS)
+    fitted = list(trial.entries)
+    for (i, name), error in trial.errors.items():
+        value = {"value": fitted[i].values[name], "standard_error": error}
+        fitted[i] = fitted[i].model_copy(update={"parameters": {**fitted[i].parameters, name: value}})
+    return with_effects(experiment, fitted, trial.linearized.theta)
+
+
+def fitted_delay(fitted: Fit) -> UncertainValue | None:
+    """The delay from command to torque; None if none was fitted."""
+    controller = fitted.experiment.config.controller
+    delay = controller.known_delay if controller else None
+    return None if delay is None or delay.standard_error is None else delay
+
+
+def _with_refitted_delay(fitted: Fit, progress: Progress) -> Fit:
+    """A fit with the delay from command to torque fitted again: a diagnosis fits it before it finds the effects.
+
+    A delay of the torque, by which the diagnosis corrects the first one, is left out.
+    """
+    experiment = fitted.experiment
+    controller = experiment.config.controller
+    if controller is None or fitted_delay(fitted) is None:
+        return fitted
+    entries = [entry for entry in experiment.config.effects if not _delays_torque(entry, experiment.model)]
+    experiment = with_effects(experiment, entries, fitted.estimate.theta)
+    unknown = controller.model_copy(update={"delay": "auto"})
+    config = experiment.config.model_copy(update={"controller": unknown})
+    experiment, _, _ = with_delay(replace(experiment, config=config), progress)
+    return fit(experiment, progress)
+
+
+def _delays_torque(entry: EffectEntry, model: RobotModel) -> bool:
+    """True for an effect that delays the torque."""
+    effect = effect_from_entry(entry, model)
+    mechanism = Mechanism(model)
+    effect.add_to_forward_model(np.array([c.prior for c in effect.coefficients]), mechanism)
+    return bool(mechanism.torque_delay.any())
