@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from idtool.diagnosis.confirmation import contradiction
+from idtool.diagnosis.effect_order import MAX_INCREASE
 from idtool.diagnosis.records import DiagnosisStep
 
 
@@ -22,6 +23,12 @@ def doubt_about(step: DiagnosisStep, floor: Mapping[str, float], remaining: Mapp
     if clause:
         subject = f"{step.chosen.effect} on {step.chosen.target}"
         return f"{subject} is not the same everywhere in the data: {clause}; something else may be behind it"
+
+    if step.after.torque["overall"] > MAX_INCREASE * step.before.torque["overall"]:
+        return (
+            f"{step.chosen.effect} on {step.chosen.target} increases the error on the held-out data near reversals of "
+            "the velocity, where the direction of friction is uncertain; it lowers the error elsewhere"
+        )
 
     joint = step.chosen.joint or "overall"
     explained = max(step.before.torque[joint] ** 2 - step.after.torque[joint] ** 2, 0.0)

@@ -3,15 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect
+from idtool.diagnosis.held_out_error import held_out_mean_squares
 from idtool.diagnosis.linearized_fit import linearize_fit
 from idtool.diagnosis.trial import with_effects
 from idtool.robot.config import EffectEntry
 
-_MAX_INCREASE = 1.0005  # ratio of the held-out errors of all joints together, with an effect and without it
+MAX_INCREASE = 1.0005  # ratio of the held-out errors of all joints together, with an effect and without it
+
+
+@dataclass(frozen=True)
+class _HeldOutError:
+    """Rms torque error of a model on the held-out data, over all joints [N·m].
+
+    Attributes
+    ----------
+    at_all_samples
+        At all samples. At a reversal nothing is known of the direction of friction, so that chance decides whether an
+        effect that shifts its jump increases this error.
+    where_defined
+        At samples at which the columns of the model with all effects are defined; NaN without held-out data.
+    """
+
+    at_all_samples: float
+    where_defined: float
+
+    def exceeds(self, before: _HeldOutError) -> bool:
+        """True if it is larger than the error without an effect, whichever samples count."""
+        is_larger = self.at_all_samples > MAX_INCREASE * before.at_all_samples
+        is_smaller_where_defined = self.where_defined <= MAX_INCREASE * before.where_defined
+        return is_larger and not is_smaller_where_defined
 
 
 def remove_harmful(search: EffectSearch, initial_error: float) -> None:
@@ -25,7 +52,7 @@ def remove_harmful(search: EffectSearch, initial_error: float) -> None:
     search
         The search that found them.
     initial_error
-        Held-out torque error of the model without effects, over all joints [N·m].
+        Held-out torque error of the model without effects, at all samples and over all joints [N·m].
     """
     moves = 0
     while search.reported:
@@ -53,10 +80,11 @@ def first_harmful(search: EffectSearch, initial_error: float) -> AddedEffect | N
     search, initial_error
         As in `remove_harmful`.
     """
-    error_before = initial_error
+    without_any = _held_out_error(search, search.model.entries(0))
+    error_before = replace(without_any, at_all_samples=initial_error)
     for k, effect in enumerate(search.reported):
-        error = _overall_error(search, search.model.entries(k + 1))
-        if error > _MAX_INCREASE * error_before:
+        error = _held_out_error(search, search.model.entries(k + 1))
+        if error.exceeds(error_before):
             return effect
         error_before = error
     return None
@@ -65,20 +93,21 @@ def first_harmful(search: EffectSearch, initial_error: float) -> AddedEffect | N
 def _most_harmful(search: EffectSearch) -> AddedEffect | None:
     """Effect without which the held-out error is least, all others being present; None if it is least with all."""
     entries = search.model.entries(len(search.reported))
-    least_error = _overall_error(search, entries)
+    least = _held_out_error(search, entries)
     most_harmful = None
     first = len(entries) - len(search.reported)
     for i, effect in enumerate(search.reported, first):
-        error = _overall_error(search, [*entries[:i], *entries[i + 1 :]])
-        if error < least_error:
-            least_error = error
+        error = _held_out_error(search, [*entries[:i], *entries[i + 1 :]])
+        if least.exceeds(error):
+            least = error
             most_harmful = effect
     return most_harmful
 
 
-def _overall_error(search: EffectSearch, entries: Sequence[EffectEntry]) -> float:
-    """Rms torque error of the model with some effects on the held-out data, over all joints [N·m]."""
+def _held_out_error(search: EffectSearch, entries: Sequence[EffectEntry]) -> _HeldOutError:
+    """Held-out error of the model with some of the effects."""
     experiment = with_effects(search.current.experiment, entries, search.current.theta)
     fitted = linearize_fit(experiment, search.progress)
     errors = evaluate_errors(fitted.experiment, fitted.estimate.theta, False, search.progress)
-    return errors.torque["overall"]
+    mean_squares = held_out_mean_squares(fitted, search.current.experiment.equation)
+    return _HeldOutError(errors.torque["overall"], float(np.sqrt(mean_squares.mean())))

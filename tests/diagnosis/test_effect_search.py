@@ -214,7 +214,7 @@ def test_effects_that_help_only_together_stay(
     """By errors that are given here, by the number of effects in the model."""
     experiment = experiment_of(tmp_path, spring, rows=slice(4000))
     search = search_with(experiment, [SPRING, OFFSET])
-    errors = [1.0, alone, together]
-    monkeypatch.setattr(effect_order, "_overall_error", lambda search, entries: errors[len(entries)])
-    remove_harmful(search, errors[0])
+    errors = [effect_order._HeldOutError(rms, rms) for rms in (1.0, alone, together)]
+    monkeypatch.setattr(effect_order, "_held_out_error", lambda search, entries: errors[len(entries)])
+    remove_harmful(search, 1.0)
     assert sorted(owners(search)) == sorted(left)
