@@ -431,7 +431,7 @@ class EffectSearch:
                 self.removed.append(removal_sentence(removed.chosen, self.added[-1].chosen))
 
     def _is_needed(self, effect: AddedEffect, others: Sequence[EffectEntry]) -> bool:
-        """True if an effect is still worthwhile, on the rows at which the columns of the others are defined.
+        """True if an effect is still worthwhile beside the others.
 
         Parameters
         ----------
@@ -446,7 +446,8 @@ class EffectSearch:
             if current.reversal_margin != margin:  # judge it on the rows that it was selected on
                 current = linearize_fit(current.experiment, self.progress, reversal_margin=margin)
             reduced = with_effects(current.experiment, others, self.current.theta)
-            without = linearize_fit(reduced, self.progress, current, own_rows=True)
+            kind = effect_types()[effect.chosen.effect]
+            without = linearize_fit(reduced, self.progress, current, own_rows=kind.is_undefined_where_it_acts)
             with_effect = linearize_fit(current.experiment, self.progress, without)
         except FAILURES:  # no evidence against it
             return True

@@ -207,12 +207,16 @@ class ExtendedModel:
         return errors
 
     def without_each(self) -> list[LinearizedFit]:
-        """Models without each of the reported effects, on their own rows, in the units of the present one."""
+        """Models without each of the reported effects, on the rows and in the units of the present one.
+
+        Without an effect that is undefined where it acts, the model has its own rows.
+        """
         models = []
         for effect in self.reported:
             others = [other.entry for other in self.added if other is not effect]
             reduced = with_effects(self.current.experiment, [*self.given, *others], self.current.theta)
-            models.append(linearize_fit(reduced, self._progress, self.current, own_rows=True))
+            own_rows = effect_types()[effect.entry.effect].is_undefined_where_it_acts
+            models.append(linearize_fit(reduced, self._progress, self.current, own_rows))
         return models
 
 

@@ -303,9 +303,8 @@ def _grid_search(
     grid_step = best * (_GRID[1] / _GRID[0] - 1)
     error = max(max(near_best) - min(near_best), grid_step) / 2
     entries[i] = _with_value(entry, name, best)
-    # on the rows at which its own columns are defined: that they are not at others is part of what it explains
     changed = with_effects(current.experiment, entries, current.theta)
-    return linearize_fit(changed, progress, current, own_rows=True), error
+    return linearize_fit(changed, progress, current, own_rows=kind.is_undefined_where_it_acts), error
 
 
 def _is_positive(effect: str, name: str) -> bool:

@@ -27,8 +27,7 @@ def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], prog
     current
         The model with all effects.
     without
-        The models without each of the effects, on the rows at which their own columns are defined: those of the effect
-        that is left out may be undefined just where it acts.
+        The models without each of the effects, on the rows by which the effect is judged.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """

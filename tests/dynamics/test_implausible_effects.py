@@ -28,10 +28,13 @@ def body(mass: float) -> SimpleNamespace:
 SUMMARY: Any = SimpleNamespace(
     model=SimpleNamespace(names=("first", "second"), bodies=(body(LINK), body(ROTOR))),
     peak_torque=np.array([1e9, PEAK]),
+    q_min=np.array([0.0, -TRAVEL]),
+    q_max=np.array([1e9, 0.0]),
     q_range=np.array([1e9, TRAVEL]),
     velocity_deadband=np.array([0.0, DEADBAND]),
     rms_velocity=np.array([1e9, SPEED]),
     dt=DT,
+    has_effect=lambda effect, owner: False,
 )
 
 # By effect: other parameters, the parameter with a limit, the limit, whether what is above it is refused, the sentence,
@@ -63,6 +66,16 @@ LIMITS: dict[str, list[tuple[dict[str, Any], str, float, bool, str, str]]] = {
             "it would deflect by 0.0002 at the largest torque, less than the noise of the position",
             "by less than the noise of its position",
         ),
+    ],
+    "parallel_spring": [
+        (
+            {"stiffness": 1.0},
+            "rest_position",
+            19.5 * TRAVEL,
+            True,
+            "as it would be at rest at 29.3: an offset",
+            "a spring whose torque hardly varies over the joint's travel",
+        )
     ],
     "payload": [
         (

@@ -52,6 +52,7 @@ class Backlash(FixedJointEffect):
     excitation_hint = "fast and slow reversals of the transmitted torque"
     cause = "distance_since_reversal"
     follows_direction = True
+    is_undefined_where_it_acts = True
     nonlinear_parameters = (
         NonlinearParameter("width", ("rad", "m"), positive=True),
         NonlinearParameter("motor_friction", optional_maximum=1.0),

@@ -26,8 +26,11 @@ from idtool.robot.model import RobotModel
 _DAMPING_RATIO = 0.05  # harmonic drives and belts have a few per cent
 _BANDS = (14.0, 20.0, 28.0, 40.0, 56.0)  # Hz: candidates for the band in which torque tells the deflection
 _MAX_BAND = 0.2  # of the sampling rate
-_CLEAR = 4.0  # of the noise's power density, above which torque tells more than noise
+_CLEAR = 3.0  # of the noise's power density, above which torque tells more than noise
 _SPECTRUM = 1024  # samples
+_MAX_DIFFERENTIATED = 0.25  # of the sampling rate, up to which a differentiated signal keeps its noise
+_REVERSAL_GAP = 2e-3  # s about a reversal, in which the direction of the motor's friction is not known
+_GAP_ITERATIONS = 4
 _ORDER = 4
 _MOTOR_FRICTION_SHARES = (0.0, 0.5, 1.0)  # shares of friction on the motor side that are tried
 
@@ -40,10 +43,11 @@ class JointElasticity(FixedJointEffect):
     model it is a spring with a damper of 5 % of what is critical for the motor, which needs a rotor or `rotor_inertia`
     on the joint.
 
-    In the torque equation the link's motion is the measured one less the deflection, which is taken from the measured
-    torque, less what the rotors take of it by their prior, up to where that sinks into its noise, 14 to 56 Hz, and lags
-    it by the damper. What the rotors take more than they would if they turned with the link is known then too. That of
-    a `rotor_inertia` is not: give a heavy rotor under `rotors`.
+    In the torque equation the link's motion is the measured one less the deflection. That is taken from the carried
+    torque: the measured one less what the rotors take of it by their prior, up to where this sinks into its noise, 14
+    to 56 Hz. The deflection lags it by the damper. A spring's torque does not jump: where the motor reverses, and its
+    friction jumps, the carried torque is continued within its band. What the rotors take more than they would if they
+    turned with the link is known then too. That of a `rotor_inertia` is not: give a heavy rotor under `rotors`.
     """
 
     id = "joint_elasticity"
@@ -157,7 +161,7 @@ class JointElasticity(FixedJointEffect):
         at_ends = np.zeros(count, dtype=bool)
         at_ends[:edge] = True
         at_ends[count - edge :] = True
-        resolution = 0.5 / _band(motion.logged_tau[self.joint], motion.dt)
+        resolution = 0.5 / self._band(motion)
         reach = max(round(resolution / motion.dt), 1)
         near_reversals = ndimage.binary_dilation(reversals(motion.v[self.joint]), iterations=reach)
         return dict.fromkeys(range(len(motion.q)), at_ends) | {self.joint: at_ends | near_reversals}
@@ -183,16 +187,80 @@ class JointElasticity(FixedJointEffect):
     ) -> tuple[Array, Array, Array]:
         """Deflection and its first two derivatives, shape (N,), from the friction on the motor side."""
         dt = motion.dt
-        carried = motion.tau[self.joint] - self._rotor_inertia[self.joint] @ motion.a - motor_friction
-        low_pass = _low_pass(_band(motion.logged_tau[self.joint], dt), dt)
-        margin = 2 * DIFFERENCE_REACH
+        carried = motion.tau[self.joint] - self._rotor_torque(motion) - motor_friction
+        low_pass = _low_pass(self._band(motion), dt)
+        if np.any(motor_friction):
+            reach = max(round(_REVERSAL_GAP / dt), 1)
+            near_reversals = ndimage.binary_dilation(reversals(motion.v[self.joint]), iterations=reach)
+            carried = _continued(carried, near_reversals, low_pass)
         if retardation_time:
             carried = _lagged(carried, retardation_time, dt)
-        padded = np.pad(carried, low_pass.reach + margin, mode="reflect", reflect_type="odd")
-        q = low_pass(padded[None], low_pass.reach, low_pass.reach) / self.nonlinear_values["stiffness"]
+        margin = 2 * DIFFERENCE_REACH
+        q = _smoothed(carried, low_pass, margin)[None] / self.nonlinear_values["stiffness"]
         v = differentiate(q, dt)
         a = differentiate(v, dt)
         return q[0, margin:-margin], v[0, margin // 2 : -(margin // 2)], a[0]
+
+    def _rotor_torque(self, motion: Motion) -> Array:
+        """Torque that the rotors take of the joint's, shape (N,) [N·m or N]."""
+        return np.asarray(self._rotor_inertia[self.joint] @ motion.a)
+
+    def _band(self, motion: Motion) -> float:
+        """Frequency up to which the carried torque stands above its noise [Hz].
+
+        Beyond, the deflection's second derivative is mostly noise: that of the torque, which is white, and that of the
+        acceleration, which increases with the frequency.
+        """
+        f, torque_power = _power_density(motion.logged_tau[self.joint], motion.dt)
+        _, rotor_power = _power_density(self._rotor_torque(motion), motion.dt)
+        _, carried_power = _power_density(motion.logged_tau[self.joint] - self._rotor_torque(motion), motion.dt)
+        # Not all above the motion is noise: what an encoder's steps make a drive do is torque.
+        octaves = [(f > top / 2) & (f <= top) for top in _octave_tops(motion.dt)]
+        octaves = [octave for octave in octaves if octave.any()]
+        torque_noise = min((np.median(torque_power[octave]) for octave in octaves), default=0.0)
+        differentiated = [octave for octave in octaves if f[octave].max() < _MAX_DIFFERENTIATED / motion.dt]
+        rotor_noise = min((np.median(rotor_power[octave] / f[octave] ** 2) for octave in differentiated), default=0.0)
+        noise = torque_noise + rotor_noise * f**2
+        best = _BANDS[0]
+        for band in _BANDS[1:]:
+            octave = (f > band / 2) & (f <= band)
+            is_clear = octave.any() and carried_power[octave].mean() > _CLEAR * noise[octave].max()
+            if is_clear and band < _MAX_BAND / motion.dt:
+                best = band
+        return best
+
+
+def _octave_tops(dt: float) -> list[float]:
+    """Upper ends of the octaves in which noise is looked for, the bands' and those above [Hz]."""
+    tops = [*_BANDS, *(_BANDS[-1] * 2**k for k in range(1, 5))]
+    return [top for top in tops if top < 0.5 / dt]
+
+
+def _power_density(x: Array, dt: float) -> tuple[Array, Array]:
+    """Frequencies and power density of a signal."""
+    f, power = welch(x, 1 / dt, nperseg=min(_SPECTRUM, len(x)))
+    return np.asarray(f), np.asarray(power)
+
+
+def _smoothed(x: Array, low_pass: LowPass, margin: int = 0) -> Array:
+    """A signal after a low-pass, continued beyond both ends by a margin, shape (N + 2 margin,)."""
+    padded = np.pad(x, low_pass.reach + margin, mode="reflect", reflect_type="odd")
+    return np.asarray(low_pass(padded[None], low_pass.reach, low_pass.reach)[0])
+
+
+def _continued(x: Array, gap: Mask, low_pass: LowPass) -> Array:
+    """A signal continued within its band over gaps, shape (N,).
+
+    Papoulis (1975) and Gerchberg (1974): the low-pass of the whole is taken in the gaps, from straight lines on.
+    """
+    if gap.all():
+        return x
+    sample = np.arange(len(x))
+    continued = x.copy()
+    continued[gap] = np.interp(sample[gap], sample[~gap], x[~gap])
+    for _ in range(_GAP_ITERATIONS):
+        continued[gap] = _smoothed(continued, low_pass)[gap]
+    return continued
 
 
 def _lagged(x: Array, time: float, dt: float) -> Array:
@@ -202,21 +270,6 @@ def _lagged(x: Array, time: float, dt: float) -> Array:
     start = lfilter_zi(numerator, denominator) * x[0]
     y, _ = lfilter(numerator, denominator, x, zi=start)
     return np.asarray(y)
-
-
-def _band(tau: Array, dt: float) -> float:
-    """Frequency up to which a torque stands above its noise [Hz]: beyond, its second derivative is mostly noise."""
-    # Not all above the motion is noise: what an encoder's steps make a drive do is torque.
-    f, power = welch(tau, 1 / dt, nperseg=min(_SPECTRUM, len(tau)))
-    octave_tops = [*_BANDS, *(_BANDS[-1] * 2**k for k in range(1, 5))]
-    octaves = [power[(f > top / 2) & (f <= top)] for top in octave_tops if top < 0.5 / dt]
-    noise = min((np.median(octave) for octave in octaves if octave.size), default=0.0)
-    best = _BANDS[0]
-    for band, octave in zip(_BANDS[1:], octaves[1:], strict=False):
-        is_clear = octave.size > 0 and np.mean(octave) > _CLEAR * noise
-        if is_clear and band < _MAX_BAND / dt:
-            best = band
-    return best
 
 
 @cache

@@ -93,6 +93,9 @@ class NamedEffect(Effect):
         True for friction, which may act on the motor side of a transmission.
     acts_at_reversals
         True if it is visible where a joint reverses; not needed for friction.
+    is_undefined_where_it_acts
+        True if its columns are undefined at the very samples that show it, as while the teeth of a backlash are apart.
+        It is then judged by the samples at which the model without it is defined.
     reportable
         True if `diagnose` may name it; else it is only included in the fit, so that it does not hide other effects.
     acts_in_bursts
@@ -123,6 +126,7 @@ class NamedEffect(Effect):
     follows_direction: bool = False
     is_friction: bool = False
     acts_at_reversals: bool = False
+    is_undefined_where_it_acts: bool = False
     reportable: bool = True
     acts_in_bursts: bool = False
     is_commonplace: bool = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from typing_extensions import override
@@ -16,6 +17,8 @@ from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.effects.simulator_element import SimulatorElement, Spring
 from idtool.robot.config import EffectEntry
+
+_MAX_REST_DISTANCE = 20.0  # of the travel, from its middle: farther away, the torque varies by less than 5 %
 
 
 class ParallelSpring(JointTerm):
@@ -59,6 +62,19 @@ class ParallelSpring(JointTerm):
             to_entry=to_entry,
             lower=(cls.lower, -np.inf)[:count],
         )
+
+    @classmethod
+    @override
+    def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
+        """A spring that is at rest so far from the motion that its torque is an offset."""
+        if summary.has_effect("torque_offset", str(joint)):
+            return ""  # the rest position has no influence then
+        j = summary.model.names.index(str(joint))
+        middle = (summary.q_min[j] + summary.q_max[j]) / 2
+        rest_position = float(values["rest_position"])
+        if abs(rest_position - middle) <= _MAX_REST_DISTANCE * summary.q_range[j]:
+            return ""
+        return f"its torque hardly varies over the travel, as it would be at rest at {rest_position:.3g}: an offset"
 
     @override
     def column(self, motion: Motion) -> Array:
