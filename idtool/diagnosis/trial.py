@@ -245,6 +245,8 @@ def _gauss_newton_step(
             i, name = key
             moved = _moved_value(entries[i], name, step, ranges.get(key, _UNBOUNDED))
             changed[i] = _with_value(changed[i], name, moved)
+        for i in {i for i, _ in keys}:
+            changed[i] = effect_types()[changed[i].effect].feasible_entry(changed[i], current.experiment.model)
         try:
             candidate = linearize_fit(with_effects(current.experiment, changed, current.theta), progress, current)
         except FAILURES:

@@ -85,6 +85,19 @@ class GravityTilt(FixedEffect):
             parameter_count=2,
         )
 
+    @classmethod
+    @override
+    def gradient_parameters(cls) -> tuple[str, ...]:
+        return "gravity.0", "gravity.1", "gravity.2"
+
+    @classmethod
+    @override
+    def feasible_entry(cls, entry: EffectEntry, model: RobotModel) -> EffectEntry:
+        """Gravity in the same direction, of the size of the robot's."""
+        given = np.asarray(entry.values["gravity"], dtype=float)
+        gravity = given * (np.linalg.norm(model.gravity) / np.linalg.norm(given))
+        return entry.model_copy(update={"parameters": {"gravity": gravity.tolist()}})
+
     @property
     @override
     def key(self) -> tuple[str | float, ...]:

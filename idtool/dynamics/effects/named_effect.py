@@ -146,6 +146,11 @@ class NamedEffect(Effect):
         return ()
 
     @classmethod
+    def feasible_entry(cls, entry: EffectEntry, model: RobotModel) -> EffectEntry:
+        """The entry after a step along the gradient, or the nearest one that physics allows."""
+        return entry
+
+    @classmethod
     def grid_parameters(cls) -> tuple[str, ...]:
         """Nonlinear parameters that a search finds by trying values, since the columns jump with them."""
         return ()
