@@ -207,6 +207,18 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
     assert search.removed == ["torque_offset on j1 was removed again: it increases the error on the held-out data"]
 
 
+@pytest.mark.parametrize(("where_defined", "left"), [(0.5, [SPRING]), (1.1, [])])
+def test_an_effect_that_increases_the_error_only_at_reversals_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where_defined: float, left: list[Owner]
+) -> None:
+    """By errors that are given here: with the effect, they are larger if all samples count."""
+    search = search_with(experiment_of(tmp_path, spring, rows=slice(4000)), [SPRING])
+    errors = [effect_order._HeldOutError(1.0, 1.0), effect_order._HeldOutError(1.2, where_defined)]
+    monkeypatch.setattr(effect_order, "_held_out_error", lambda search, entries: errors[len(entries)])
+    remove_harmful(search, 1.0)
+    assert owners(search) == left
+
+
 @pytest.mark.parametrize(("alone", "together", "left"), [(1.1, 0.5, [SPRING, OFFSET]), (1.1, 1.3, [])])
 def test_effects_that_help_only_together_stay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, alone: float, together: float, left: list[Owner]

@@ -195,6 +195,18 @@ def test_what_the_model_can_make_itself_says_nothing(base: LinearizedFit) -> Non
     assert several.c[3] == 0
 
 
+def test_a_fit_on_the_rows_of_another_is_screened_on_these(base: LinearizedFit) -> None:
+    """Coulomb friction on a joint, whose column is undefined at reversals; the other model has rows there."""
+    friction = EffectEntry(effect="coulomb_friction", joint="lift", parameters={"coulomb": 0.1})
+    tried = with_effects(base.experiment, [friction], base.theta)
+    on_its_rows = linearize_fit(tried, silent, base)
+    assert (on_its_rows.row_counts.sum(axis=0) > linearize_fit(tried, silent).row_counts.sum(axis=0)).any()
+    (of_the_model,) = screen_probes(on_its_rows, [made(lambda m, p: {1: m.v[1][None]})], silent)
+    (new,) = screen_probes(on_its_rows, [made(bump)], silent)
+    assert abs(of_the_model.information[0, 0]) < 1e-4 * abs(new.information[0, 0])
+    np.testing.assert_array_equal(of_the_model.gains, 0)
+
+
 def test_what_physics_forbids_explains_nothing(base: LinearizedFit) -> None:
     """A spring with its sign turned round would have the same gain."""
     probe = of(base, "parallel_spring", 1)

@@ -16,12 +16,14 @@ from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.trial import (
     TrialFit,
+    _parameter_probe,
     fit_trial,
     has_fixed_inertia,
     parameter_value,
     with_effects,
     with_fixed_inertia,
 )
+from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
 
@@ -104,6 +106,22 @@ def test_standard_errors_are_what_other_noise_does(tmp_path: Path, log: Log) -> 
     assert ((ratio > 0.5) & (ratio < 2)).all(), ratio
     bias = np.mean([values(done) for done in every], axis=0) - [VELOCITY, STOP]
     assert (np.abs(bias) < 1.5 * scatter).all()
+
+
+def test_a_derivative_is_that_of_the_parameter_alone(tmp_path: Path, log: Log) -> None:
+    """A spring's torque by its rest position is its stiffness, whatever other effects make of other coefficients."""
+    elastic = entry("joint_elasticity", stiffness=200.0, motor_friction=0.5)
+    spring = entry("parallel_spring", stiffness=0.0, rest_position=0.2)
+    base = grounded(tmp_path, log)
+    other_theta = 1.5 * base.theta
+    fit = linearize_fit(with_effects(base.experiment, [elastic, spring], other_theta), silent, base)
+    probe = _parameter_probe(fit, [(1, "rest_position")], {})
+    (batch,) = list(fit.experiment.batches(fit.experiment.runs[0], held_out=False))[:1]
+    model = LinearizedModel(fit.experiment.equation, fit.theta, batch.motion)
+    (column,) = probe.columns(model.true_motion, model)[0]
+    by_key = {c.key: float(x) for c, x in zip(fit.experiment.equation.coefficients, fit.theta, strict=True)}
+    (stiffness,) = (x for key, x in by_key.items() if "stiffness" in key)
+    np.testing.assert_allclose(column, -stiffness, rtol=1e-6)
 
 
 def test_a_value_that_is_right_stays_and_what_is_not_to_move_does_not(tmp_path: Path, log: Log) -> None:

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from commands import config_with, idtool, refuse
 from numpy.typing import NDArray
+from prescribed_motions import silent
 from robots import actuated, random_urdf
 from spatial_arm import (
     ARM,
@@ -32,6 +33,8 @@ from spatial_arm import (
 )
 
 from idtool.data.signals import Motion
+from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.trial import fit_trial, with_fixed_inertia
 from idtool.dynamics.effects import effect_from_entry
 from idtool.dynamics.effects.external_contact import ExternalContact
 from idtool.estimation.fit import fit
@@ -139,6 +142,18 @@ def test_with_the_entry_only_noise_is_left_and_the_arm_moves_as_it_did(
     # a contact here comes at once, there within 5 ms
     assert np.abs(rolled_out(tmp_path, log, entry)).max() < (3e-4 if "wrench" in entry["parameters"] else 1e-4)
     assert np.abs(rolled_out(tmp_path, log, seconds=0.7)).max() > 1e-3
+
+
+def test_a_trial_finds_gravity_from_any_direction_and_keeps_its_size(tmp_path: Path) -> None:
+    """From straight down: first-order probes are half a degree off, and other effects would explain that."""
+    tried = with_fixed_inertia(experiment(*written(tmp_path, tilted()), fitted=True))
+    size = float(np.linalg.norm(tried.model.gravity))
+    start = EffectEntry(effect="gravity_tilt", parameters={"gravity": [0.0, 0.0, -size]})
+    trial = fit_trial(linearize_fit(tried, silent), [start], [0], silent, 4)
+    (found,) = trial.entries
+    np.testing.assert_allclose(found.values["gravity"], size / np.linalg.norm(TILTED) * np.array(TILTED), atol=0.02)
+    assert np.linalg.norm(found.values["gravity"]) == pytest.approx(size)
+    assert {name for _, name in trial.errors} == {"gravity.0", "gravity.1", "gravity.2"}
 
 
 def test_a_load_on_a_tilted_base(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from spatial_arm import (
     written,
 )
 
-from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects import effect_types, joint_elasticity
 from idtool.dynamics.mechanism import Transmission
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.model import RobotModel
@@ -142,6 +142,20 @@ def test_the_deflection_is_that_of_the_torque_that_the_spring_carries(tmp_path: 
     for x, dx in ((seen.q - link.q, seen.v - link.v), (seen.v - link.v, seen.a - link.a)):
         np.testing.assert_allclose(np.gradient(x[1], seen.dt)[inner], dx[1, inner], atol=2e-3 * np.ptp(dx[1]))
         np.testing.assert_array_equal(dx[[0, 2]], 0)
+
+
+def test_what_lies_within_a_band_is_continued_over_gaps() -> None:
+    """Tones up to two thirds of the band, with errors of ten times their size about the motor's reversals."""
+    dt = 1e-3
+    t = dt * np.arange(4000)
+    tones = sum(np.sin(2 * np.pi * f * t + f) for f in (1.0, 4.7, 9.0, 13.0))
+    gap = np.zeros(len(t), dtype=bool)
+    for reversal in range(300, 3700, 170):
+        gap[reversal - 3 : reversal + 3] = True
+    broken = np.where(gap, tones + 40.0, tones)
+    continued = joint_elasticity._continued(broken, gap, joint_elasticity._low_pass(20.0, dt))
+    np.testing.assert_array_equal(continued[~gap], tones[~gap])
+    np.testing.assert_allclose(continued[gap], tones[gap], atol=0.06)
 
 
 def test_samples_whose_deflection_is_not_known_do_not_count(tmp_path: Path, elastic: Log) -> None:
