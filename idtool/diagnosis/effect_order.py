@@ -2,61 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
+from collections.abc import Collection, Sequence
 
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect
-from idtool.diagnosis.held_out_error import held_out_mean_squares
-from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.trial import with_effects
 from idtool.robot.config import EffectEntry
 
 MAX_INCREASE = 1.0005  # ratio of the held-out errors of all joints together, with an effect and without it
 
 
-@dataclass(frozen=True)
-class _HeldOutError:
-    """Rms torque error of a model on the held-out data, over all joints [N·m].
-
-    Attributes
-    ----------
-    at_all_samples
-        At all samples. At a reversal nothing is known of the direction of friction, so that chance decides whether an
-        effect that shifts its jump increases this error.
-    where_defined
-        At samples at which the columns of the model with all effects are defined; NaN without held-out data.
-    """
-
-    at_all_samples: float
-    where_defined: float
-
-    def exceeds(self, before: _HeldOutError) -> bool:
-        """True if it is larger than the error without an effect, whichever samples count."""
-        is_larger = self.at_all_samples > MAX_INCREASE * before.at_all_samples
-        is_smaller_where_defined = self.where_defined <= MAX_INCREASE * before.where_defined
-        return is_larger and not is_smaller_where_defined
-
-
 def remove_harmful(search: EffectSearch, initial_error: float) -> None:
     """Order the effects so that each lowers the held-out error, and remove those that do so nowhere in the order.
 
     A right but small effect may increase the error as long as the largest one is missing. Effects that lower it only
-    together stay, in any order.
+    together stay, in any order. So do those that increase it only at reversals: nothing is known there of the direction
+    of friction, and chance decides whether an effect that shifts its jump increases the error.
 
     Parameters
     ----------
     search
         The search that found them.
     initial_error
-        Held-out torque error of the model without effects, at all samples and over all joints [N·m].
+        Held-out torque error of the model without effects, over all joints [N·m].
     """
+    excused: list[AddedEffect] = []
     moves = 0
     while search.reported:
-        harmful = first_harmful(search, initial_error)
+        harmful = first_harmful(search, initial_error, excused)
         if harmful is None:
             return
         all_orders_fail = moves >= len(search.reported) ** 2
@@ -65,49 +41,73 @@ def remove_harmful(search: EffectSearch, initial_error: float) -> None:
             moves += 1
             continue
         if all_orders_fail:
-            harmful = _most_harmful(search)
+            harmful = _most_harmful(search, excused)
             if harmful is None:
                 return
+        if _is_harmful_only_at_reversals(search, harmful):
+            excused.append(harmful)
+            continue
         search.remove(harmful, "it increases the error on the held-out data")
         moves = 0
 
 
-def first_harmful(search: EffectSearch, initial_error: float) -> AddedEffect | None:
+def first_harmful(
+    search: EffectSearch, initial_error: float, excused: Collection[AddedEffect] = ()
+) -> AddedEffect | None:
     """First effect that increases the held-out error when it is added to those before it; None if there is none.
 
     Parameters
     ----------
     search, initial_error
         As in `remove_harmful`.
+    excused
+        Effects that may increase it.
     """
-    without_any = _held_out_error(search, search.model.entries(0))
-    error_before = replace(without_any, at_all_samples=initial_error)
+    error_before = initial_error
     for k, effect in enumerate(search.reported):
-        error = _held_out_error(search, search.model.entries(k + 1))
-        if error.exceeds(error_before):
+        error = _overall_error(_fit_with(search, search.model.entries(k + 1)), search)
+        if error > MAX_INCREASE * error_before and effect not in excused:
             return effect
         error_before = error
     return None
 
 
-def _most_harmful(search: EffectSearch) -> AddedEffect | None:
+def _most_harmful(search: EffectSearch, excused: Collection[AddedEffect]) -> AddedEffect | None:
     """Effect without which the held-out error is least, all others being present; None if it is least with all."""
-    entries = search.model.entries(len(search.reported))
-    least = _held_out_error(search, entries)
+    least_error = _overall_error(_fit_with(search, search.model.entries(len(search.reported))), search)
     most_harmful = None
-    first = len(entries) - len(search.reported)
-    for i, effect in enumerate(search.reported, first):
-        error = _held_out_error(search, [*entries[:i], *entries[i + 1 :]])
-        if least.exceeds(error):
-            least = error
+    for effect in search.reported:
+        error = _overall_error(_fit_with(search, _entries_without(search, effect)), search)
+        if error < least_error and effect not in excused:
+            least_error = error
             most_harmful = effect
     return most_harmful
 
 
-def _held_out_error(search: EffectSearch, entries: Sequence[EffectEntry]) -> _HeldOutError:
-    """Held-out error of the model with some of the effects."""
+def _is_harmful_only_at_reversals(search: EffectSearch, effect: AddedEffect) -> bool:
+    """True if an effect makes the held-out data more likely at the samples at which all columns are defined."""
+    if not search.current.experiment.has_held_out:
+        return False
+    without = _fit_with(search, _entries_without(search, effect))
+    with_all = _fit_with(search, search.model.entries(len(search.reported)))
+    return not lowers_held_out_likelihood(without, with_all)
+
+
+def _entries_without(search: EffectSearch, effect: AddedEffect) -> list[EffectEntry]:
+    """Entries of the model with all effects but one."""
+    entries = search.model.entries(len(search.reported))
+    first = len(entries) - len(search.reported)
+    del entries[first + search.reported.index(effect)]
+    return entries
+
+
+def _fit_with(search: EffectSearch, entries: Sequence[EffectEntry]) -> LinearizedFit:
+    """Fit of the model with some of the effects."""
     experiment = with_effects(search.current.experiment, entries, search.current.theta)
-    fitted = linearize_fit(experiment, search.progress)
+    return linearize_fit(experiment, search.progress)
+
+
+def _overall_error(fitted: LinearizedFit, search: EffectSearch) -> float:
+    """Rms torque error of a model on the held-out data, over all joints [N·m]."""
     errors = evaluate_errors(fitted.experiment, fitted.estimate.theta, False, search.progress)
-    mean_squares = held_out_mean_squares(fitted, search.current.experiment.equation)
-    return _HeldOutError(errors.torque["overall"], float(np.sqrt(mean_squares.mean())))
+    return errors.torque["overall"]

@@ -207,16 +207,23 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
     assert search.removed == ["torque_offset on j1 was removed again: it increases the error on the held-out data"]
 
 
-@pytest.mark.parametrize(("where_defined", "left"), [(0.5, [SPRING]), (1.1, [])])
+@pytest.mark.parametrize(("less_likely", "left"), [(False, [SPRING]), (True, [])])
 def test_an_effect_that_increases_the_error_only_at_reversals_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where_defined: float, left: list[Owner]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, less_likely: bool, left: list[Owner]
 ) -> None:
     """By errors that are given here: with the effect, they are larger if all samples count."""
     search = search_with(experiment_of(tmp_path, spring, rows=slice(4000)), [SPRING])
-    errors = [effect_order._HeldOutError(1.0, 1.0), effect_order._HeldOutError(1.2, where_defined)]
-    monkeypatch.setattr(effect_order, "_held_out_error", lambda search, entries: errors[len(entries)])
+    give_errors(monkeypatch, [1.0, 1.2])
+    monkeypatch.setattr(effect_order, "lowers_held_out_likelihood", lambda before, after: less_likely)
     remove_harmful(search, 1.0)
     assert owners(search) == left
+
+
+def give_errors(monkeypatch: pytest.MonkeyPatch, errors: Sequence[float]) -> None:
+    """Errors of the model by the number of effects in it."""
+    monkeypatch.setattr(
+        effect_order, "_overall_error", lambda fitted, search: errors[len(fitted.experiment.config.effects)]
+    )
 
 
 @pytest.mark.parametrize(("alone", "together", "left"), [(1.1, 0.5, [SPRING, OFFSET]), (1.1, 1.3, [])])
@@ -226,7 +233,7 @@ def test_effects_that_help_only_together_stay(
     """By errors that are given here, by the number of effects in the model."""
     experiment = experiment_of(tmp_path, spring, rows=slice(4000))
     search = search_with(experiment, [SPRING, OFFSET])
-    errors = [effect_order._HeldOutError(rms, rms) for rms in (1.0, alone, together)]
-    monkeypatch.setattr(effect_order, "_held_out_error", lambda search, entries: errors[len(entries)])
+    give_errors(monkeypatch, [1.0, alone, together])
+    monkeypatch.setattr(effect_order, "lowers_held_out_likelihood", lambda before, after: True)
     remove_harmful(search, 1.0)
     assert sorted(owners(search)) == sorted(left)
