@@ -97,6 +97,7 @@ def possible_locations(robot: Robot, effect: str) -> tuple[str, ...]:
 
     A rotor's inertia is its link's on a first joint and on one that is perpendicular to the joint before. An encoder
     offset turns the link on a last joint, and the base on the first; on the leg's hip, only its square has an effect.
+    Backlash shows when the load changes sides; on the leg's abad, it never does.
     """
     names = robot.names
     if effect in ("payload", "external_contact"):
@@ -107,6 +108,8 @@ def possible_locations(robot: Robot, effect: str) -> tuple[str, ...]:
         return {"planar2": ("elbow",), "leg3": ("knee",), "arm6": ("j3", "j4")}[robot.name]
     if effect == "encoder_offset":
         return {"planar2": ("elbow",), "leg3": ("hip",), "arm6": ("j2", "j3")}[robot.name]
+    if effect == "backlash" and robot.name == "leg3":
+        return names[1:]
     if effect == "time_delay":
         return (*names[1:3], "all")
     return names[:4]

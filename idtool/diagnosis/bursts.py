@@ -56,9 +56,11 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
 
     Returns
     -------
-    If the torque comes and goes at once, a burst of those windows, which may be on any link; before it, if there are
-    other windows with a large torque, one of all of them. Else one for each link on which a push explains the torque.
-    With several logs, those of each training log by itself.
+    Candidates for a contact, for each training log by itself.
+
+    - The torque begins or ends within milliseconds: one burst of these windows, on no link in particular. If it is
+      large in further windows, a burst of all windows comes first.
+    - It comes and goes slowly: one burst for each link on which a push explains it.
     """
     residual = robust_residual(experiment, theta, progress, "looking for contacts")
     if len(experiment.runs) == 1:

@@ -213,24 +213,34 @@ def _changes(pair: FittedPair) -> tuple[list[Change], list[TermKey]]:
             is_significant = _is_significant(change)
         if is_significant:
             significant.append(key)
-    shares, reasons = _gap_shares(pair, significant)
+    gap_shares = _gap_shares(pair, significant)
 
     changes = list(_delay_changes(pair))
     for key, own in differences.items():
-        share = shares.get(key, 0.0)
-        reason = reasons.get(key, _INSIGNIFICANT)
-        changes += [replace(change, share=share, reason=reason) for change in own]
+        closed = gap_shares.get(key, _GapShare(0.0, _INSIGNIFICANT))
+        changes += [replace(change, share=closed.share, reason=closed.reason) for change in own]
     changes.sort(key=lambda change: (bool(change.reason), -(change.share or 0.0)))
-    return changes, [key for key in significant if not reasons[key]]
+    return changes, [key for key in significant if not gap_shares[key].reason]
 
 
-def _gap_shares(pair: FittedPair, significant: Sequence[TermKey]) -> tuple[dict[TermKey, float], dict[TermKey, str]]:
-    """Shares of the gap between simulator and robot that significant differences close.
+@dataclass(frozen=True)
+class _GapShare:
+    """What a difference contributes to the gap between simulator and robot.
 
-    Returns
-    -------
-    The share of each difference, and the reason why it needs no change in the simulator; empty if it needs one.
+    Attributes
+    ----------
+    share
+        Share of the squared gap that is open without the change.
+    reason
+        Reason why it needs no change in the simulator, a few words; empty if it needs one.
     """
+
+    share: float
+    reason: str
+
+
+def _gap_shares(pair: FittedPair, significant: Sequence[TermKey]) -> dict[TermKey, _GapShare]:
+    """Share of the gap between simulator and robot that each significant difference closes."""
     joints = pair.robot_fit.experiment.equation.joints
     torque_std = np.array([pair.robot_fit.evaluation.torque_std[name] for name in joints])
     weights = 1 / np.maximum(torque_std, 1e-12) ** 2
@@ -238,23 +248,23 @@ def _gap_shares(pair: FittedPair, significant: Sequence[TermKey]) -> tuple[dict[
     after = pair.mean_squared_errors(significant)
     least_change = np.maximum(_MIN_SHARE * before, (_NEGLIGIBLE * torque_std) ** 2)
     gap = float(weights @ (before - after))
-    shares: dict[TermKey, float] = {}
-    reasons: dict[TermKey, str] = {}
+    gap_shares: dict[TermKey, _GapShare] = {}
     for key in significant:
         others = [other for other in significant if other != key]
         reopened = pair.mean_squared_errors(others) - after
-        shares[key] = float(weights @ reopened) / gap if gap > 0 else 0.0
-        reasons[key] = "" if (reopened > least_change).any() else "hardly changes the torque"
-    made = [key for key in significant if not reasons[key]]
+        share = float(weights @ reopened) / gap if gap > 0 else 0.0
+        reason = "" if (reopened > least_change).any() else "hardly changes the torque"
+        gap_shares[key] = _GapShare(share, reason)
+
+    made = [key for key in significant if not gap_shares[key].reason]
     if made and weights @ pair.mean_squared_errors(made) > (1 - _MIN_SHARE) * (weights @ before):
-        for key in made:
-            shares[key] = 0.0
-            reasons[key] = "does not reduce the torque error together with the other changes"
-    return shares, reasons
+        useless = _GapShare(0.0, "does not reduce the torque error together with the other changes")
+        gap_shares.update(dict.fromkeys(made, useless))
+    return gap_shares
 
 
 def _delay_changes(pair: FittedPair) -> Iterator[Change]:
-    """The delay from command to torque, if it was fitted on both pair."""
+    """The delay from command to torque, if it was fitted both in the simulator and on the robot."""
     simulator = fitted_delay(pair.simulator_fit)
     robot = fitted_delay(pair.robot_fit)
     if simulator is None or robot is None:
@@ -272,7 +282,7 @@ def _is_significant(change: Change) -> bool:
 
 
 def _change(pair: FittedPair, key: TermKey) -> Change:
-    """An effect on both pair."""
+    """An effect in the simulator and on the robot."""
     simulator_term = pair.simulator_terms.get(key)
     robot_term = pair.robot_terms.get(key)
     term = robot_term or simulator_term
@@ -329,8 +339,8 @@ def _pair_notices(pairs: Sequence[LogPair]) -> Iterator[Notice]:
     for pair in pairs:
         if not pair.moves_alike:
             message = (
-                f"{pair.measured.name} and {pair.simulated.name} are of different motions: their positions differ by "
-                f"{pair.position['overall']:.3g} RMS, and the robot moves by {pair.motion['overall']:.3g} RMS"
+                f"{pair.measured.name} and {pair.simulated.name} do not show the same motion: their positions differ "
+                f"by {pair.position['overall']:.3g} RMS, while the robot moves by {pair.motion['overall']:.3g} RMS"
             )
             yield Notice("pair_differs", "warning", None, message, "play the same commands in the simulator")
 

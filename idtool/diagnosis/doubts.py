@@ -38,6 +38,6 @@ def doubt_about(step: DiagnosisStep, floor: Mapping[str, float], remaining: Mapp
     share = explained / (explained + unexplained)
     where = step.chosen.joint or "all joints"
     return (
-        f"{step.chosen.effect} explains {100 * share:.0f} % of what the squared residual of {where} had above the "
-        "noise floor, and most of the rest is unexplained: something else may be behind both"
+        f"{step.chosen.effect} explains {100 * share:.0f} % of the squared residual of {where} above the noise floor; "
+        "the rest remains unexplained, so something else may be behind both"
     )

@@ -1,4 +1,4 @@
-"""Order of the effects found, so that each of them lowers the held-out error, and removal of those that never do."""
+"""Order of the effects found: each step must lower the held-out error; an effect that never does is removed."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ MAX_INCREASE = 1.0005  # ratio of the held-out errors of all joints together, wi
 
 
 def remove_harmful(search: EffectSearch, initial_error: float) -> None:
-    """Order the effects so that each lowers the held-out error, and remove those that do so nowhere in the order.
+    """Order the effects so that each lowers the held-out error; remove those that increase it in every order.
 
-    A right but small effect may increase the error as long as the largest one is missing. Effects that lower it only
-    together stay, in any order. So do those that increase it only at reversals: nothing is known there of the direction
-    of friction, and chance decides whether an effect that shifts its jump increases the error.
+    A right but small effect may increase the error as long as a larger one is missing, so a harmful effect is first
+    moved to the end. Two kinds of effects stay although they increase the error at their place: those that lower it
+    only together with others, and those that increase it only near reversals. There the direction of friction is
+    uncertain, and chance decides whether an effect that shifts the jump of friction increases the error.
 
     Parameters
     ----------

@@ -124,12 +124,7 @@ def _rate(x: Array, series: ResidualSeries) -> Array:
 
 
 def _binned_torques(cause: Cause, values: Array, torques: Array, valid: Mask) -> tuple[Array, Array, Array]:
-    """Torques in bins of the cause.
-
-    Returns
-    -------
-    Mean of the cause in each of the k bins, shape (k,); mean and standard deviation of the torques, shape (3, k) each.
-    """
+    """Mean cause in k bins, shape (k,); mean and standard deviation of the torques in them, shape (3, k) each."""
     x = values[valid]
     edges = _edges(cause, x)
     _, mean_cause, _ = bin_means(x, edges, x)

@@ -163,7 +163,7 @@ def test_changes_that_only_make_up_for_each_other_are_not_asked_for(tmp_path: Pa
     assert against["changes"] == []
     codes = {notice["code"] for notice in done.json["notices"]}
     assert codes & {"simulator_bodies_differ", "simulator_unexplained"}
-    assert "pair_differs" in codes  # the leg's two logs are of different motions
+    assert "pair_differs" in codes  # the leg's two logs show different motions
 
 
 @pytest.fixture(scope="module")
@@ -206,7 +206,7 @@ def test_logs_of_different_motions_are_named(pair: Path) -> None:
     write_log(pair / "other.csv", Machine(MJCF).play(12.0, seed=7))
     found = diagnosed(pair, "robot/run1.csv", "--against", "other.csv", "--out", "unlike", *EFFECTS)
     (notice,) = [notice for notice in found["notices"] if notice["code"] == "pair_differs"]
-    assert "run1.csv and other.csv are of different motions" in notice["message"]
+    assert "run1.csv and other.csv do not show the same motion" in notice["message"]
 
 
 def test_the_delay_of_a_position_controller_is_compared(tmp_path: Path) -> None:

@@ -211,9 +211,10 @@ class JointElasticity(FixedJointEffect):
         Beyond, the deflection's second derivative is mostly noise: that of the torque, which is white, and that of the
         acceleration, which increases with the frequency.
         """
-        f, torque_power = _power_density(motion.logged_tau[self.joint], motion.dt)
-        _, rotor_power = _power_density(self._rotor_torque(motion), motion.dt)
-        _, carried_power = _power_density(motion.logged_tau[self.joint] - self._rotor_torque(motion), motion.dt)
+        torque = motion.logged_tau[self.joint]
+        rotor_torque = self._rotor_torque(motion)
+        f, powers = _power_density(np.stack([torque, rotor_torque, torque - rotor_torque]), motion.dt)
+        torque_power, rotor_power, carried_power = powers
         # Not all above the motion is noise: what an encoder's steps make a drive do is torque.
         octaves = [(f > top / 2) & (f <= top) for top in _octave_tops(motion.dt)]
         octaves = [octave for octave in octaves if octave.any()]
@@ -237,8 +238,8 @@ def _octave_tops(dt: float) -> list[float]:
 
 
 def _power_density(x: Array, dt: float) -> tuple[Array, Array]:
-    """Frequencies and power density of a signal."""
-    f, power = welch(x, 1 / dt, nperseg=min(_SPECTRUM, len(x)))
+    """Frequencies, shape (F,), and power density of signals, shape (m, N), at each, shape (m, F)."""
+    f, power = welch(x, 1 / dt, nperseg=min(_SPECTRUM, x.shape[-1]))
     return np.asarray(f), np.asarray(power)
 
 
