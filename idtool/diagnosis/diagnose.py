@@ -13,7 +13,7 @@ from idtool.common.notice import Notice, unique
 from idtool.diagnosis.confirmation import estimate_on_parts, linear_parameters
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.doubts import doubt_about
-from idtool.diagnosis.effect_order import remove_harmful
+from idtool.diagnosis.effect_order import order_effects
 from idtool.diagnosis.effect_profile import effect_profile
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit, evaluate_errors
@@ -108,7 +108,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     before = errors_of_fit(first)
     simulate = first.simulation is not None  # without that of the first model, there is nothing to compare with
     if not options.assumed:
-        order = partial(remove_harmful, search, before.torque["overall"])
+        order = partial(order_effects, search, before.torque["overall"])
         stages.run("the order of the steps", order, None, is_short=True)
     last = _fit_with_effects(search, first, simulate, stages)
     after = errors_of_fit(last)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from idtool.diagnosis.confirmation import contradiction
-from idtool.diagnosis.effect_order import MAX_INCREASE
+from idtool.diagnosis.effect_order import MAX_ERROR_RATIO
 from idtool.diagnosis.records import DiagnosisStep
 
 
@@ -24,10 +24,12 @@ def doubt_about(step: DiagnosisStep, floor: Mapping[str, float], remaining: Mapp
         subject = f"{step.chosen.effect} on {step.chosen.target}"
         return f"{subject} is not the same everywhere in the data: {clause}; something else may be behind it"
 
-    if step.after.torque["overall"] > MAX_INCREASE * step.before.torque["overall"]:
+    if step.after.torque["overall"] > MAX_ERROR_RATIO * step.before.torque["overall"]:
+        where = "on the held-out data " if step.before.validation is not None else ""
         return (
-            f"{step.chosen.effect} on {step.chosen.target} increases the error on the held-out data near reversals of "
-            "the velocity, where the direction of friction is uncertain; it lowers the error elsewhere"
+            f"{step.chosen.effect} on {step.chosen.target} increases the error {where}in this step; it lowers the "
+            "error only together with other effects, or away from reversals of the velocity, where the direction of "
+            "friction is certain"
         )
 
     joint = step.chosen.joint or "overall"

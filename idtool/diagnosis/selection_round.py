@@ -90,7 +90,7 @@ def find_best_effect(
     candidates, failed = _candidate_probes(summary, effects)
     probes = [probe for probe in candidates if probe_key(probe) not in skipped]
     screened = screen_probes(base, probes, progress)
-    failed += [screened_record(one, base, not_fitted_reason(one.failure)) for one in screened if one.failure]
+    failed += _screening_failures(base, screened)
     inflation = _median_inflation(base, screened)
     best = best_by_key(_promising(screened))
     to_refine = _by_gain(best.values())[:_REFINED]
@@ -125,8 +125,11 @@ def _fit_and_judge(
     objection = _objection(fitted, base, initial, summary)
     neighbours = _movable_on_joint(base, candidate.probe.joint)
     if objection and neighbours:  # without the candidate, their parameters may have imitated it
-        fitted = _fit_candidate(base, candidate, progress, neighbours)
-        objection = _objection(fitted, base, initial, summary)
+        try:
+            refitted = _fit_candidate(base, candidate, progress, neighbours)
+        except FAILURES:
+            return fitted, objection
+        return refitted, _objection(refitted, base, initial, summary)
     return fitted, objection
 
 
@@ -189,6 +192,17 @@ def _candidate_probes(summary: DataSummary, effects: Sequence[str] | None) -> tu
     return probes, failed
 
 
+def _screening_failures(base: LinearizedFit, screened: Sequence[ScreenedProbe]) -> list[Candidate]:
+    """Effects of which no probe could be evaluated, with the reason of the first."""
+    evaluated = {probe_key(one.probe) for one in screened if not one.failure}
+    failures: dict[ProbeKey, Candidate] = {}
+    for one in screened:
+        key = probe_key(one.probe)
+        if one.failure and key not in evaluated and key not in failures:
+            failures[key] = screened_record(one, base, not_fitted_reason(one.failure))
+    return list(failures.values())
+
+
 def _median_inflation(base: LinearizedFit, screened: Iterable[ScreenedProbe]) -> float:
     """Median inflation over all probes, at least that of white noise through the filter."""
     redundancy = base.experiment.runs[0].signals.low_pass.redundancy
@@ -218,7 +232,8 @@ def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[Scre
             position = grid.index(value)
             low = grid[max(position - 1, 0)]
             high = grid[min(position + 1, len(grid) - 1)]
-            for refined in np.linspace(low, high, _FINE_VALUES + 2)[1:-1]:
+            spaced = np.geomspace if low > 0 else np.linspace
+            for refined in spaced(low, high, _FINE_VALUES + 2)[1:-1]:
                 yield probe.at({**probe.nonlinear_values, name: float(refined)})
 
 

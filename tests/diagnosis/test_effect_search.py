@@ -12,7 +12,7 @@ from disturbed import Hidden, experiment_of, silent, torque_on_joint
 
 from idtool.common.exceptions import SolverError
 from idtool.diagnosis import effect_order, selection_round
-from idtool.diagnosis.effect_order import first_harmful, remove_harmful
+from idtool.diagnosis.effect_order import first_harmful, order_effects
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
 from idtool.diagnosis.linearized_fit import linearize_fit
@@ -187,7 +187,7 @@ def test_an_effect_that_helps_only_beside_a_larger_one_comes_after_it(tmp_path: 
     search = search_with(experiment, order)
     error = errors_of_fit(fit(experiment, silent)).torque["overall"]
     assert first_harmful(search, error) is search.added[0]
-    remove_harmful(search, error)
+    order_effects(search, error)
     assert owners(search) == order[::-1]
     assert not search.removed
     assert first_harmful(search, error) is None
@@ -202,7 +202,7 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
     changing = torque_on_joint(0, lambda t, q, v, tau: np.where(t < 0.69 * t[-1], 0.5, -0.5))
     experiment = with_fixed_inertia(experiment_of(tmp_path, together(changing, offset)))
     search = search_with(experiment, [("torque_offset", "j1"), OFFSET])
-    remove_harmful(search, errors_of_fit(fit(experiment, silent)).torque["overall"])
+    order_effects(search, errors_of_fit(fit(experiment, silent)).torque["overall"])
     assert owners(search) == entries_in_model(search) == [OFFSET]
     assert search.removed == ["torque_offset on j1 was removed again: it increases the error on the held-out data"]
 
@@ -215,15 +215,13 @@ def test_an_effect_that_increases_the_error_only_at_reversals_stays(
     search = search_with(experiment_of(tmp_path, spring, rows=slice(4000)), [SPRING])
     give_errors(monkeypatch, [1.0, 1.2])
     monkeypatch.setattr(effect_order, "lowers_held_out_likelihood", lambda before, after: less_likely)
-    remove_harmful(search, 1.0)
+    order_effects(search, 1.0)
     assert owners(search) == left
 
 
 def give_errors(monkeypatch: pytest.MonkeyPatch, errors: Sequence[float]) -> None:
     """Errors of the model by the number of effects in it."""
-    monkeypatch.setattr(
-        effect_order, "_overall_error", lambda fitted, search: errors[len(fitted.experiment.config.effects)]
-    )
+    monkeypatch.setattr(effect_order, "_error_with", lambda search, entries: errors[len(entries)])
 
 
 @pytest.mark.parametrize(("alone", "together", "left"), [(1.1, 0.5, [SPRING, OFFSET]), (1.1, 1.3, [])])
@@ -235,5 +233,5 @@ def test_effects_that_help_only_together_stay(
     search = search_with(experiment, [SPRING, OFFSET])
     give_errors(monkeypatch, [1.0, alone, together])
     monkeypatch.setattr(effect_order, "lowers_held_out_likelihood", lambda before, after: True)
-    remove_harmful(search, 1.0)
+    order_effects(search, 1.0)
     assert sorted(owners(search)) == sorted(left)

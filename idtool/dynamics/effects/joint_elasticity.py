@@ -161,19 +161,20 @@ class JointElasticity(FixedJointEffect):
         at_ends = np.zeros(count, dtype=bool)
         at_ends[:edge] = True
         at_ends[count - edge :] = True
-        resolution = 0.5 / self._band(motion)
+        deflection = motion.motor_minus_link.get(self.joint, np.zeros((3, count)))
+        resolution = 0.5 / self._band(self._displaced(motion, deflection))
         reach = max(round(resolution / motion.dt), 1)
         near_reversals = ndimage.binary_dilation(reversals(motion.v[self.joint]), iterations=reach)
         return dict.fromkeys(range(len(motion.q)), at_ends) | {self.joint: at_ends | near_reversals}
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
-        existing = mechanism.transmissions.get(self.joint)
-        mechanism.transmissions[self.joint] = Transmission(
+        transmission = mechanism.transmissions.get(self.joint, Transmission(np.inf, _DAMPING_RATIO))
+        mechanism.transmissions[self.joint] = replace(
+            transmission,
             stiffness=self.nonlinear_values["stiffness"],
             damping_ratio=_DAMPING_RATIO,
-            backlash=existing.backlash if existing is not None else 0.0,
-            motor_friction=self.nonlinear_values["motor_friction"],
+            motor_friction=max(transmission.motor_friction, self.nonlinear_values["motor_friction"]),
         )
 
     @property
