@@ -101,7 +101,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     faults = before_search.run("the check of the data", partial(find_data_faults, experiment, progress), no_faults)
     if options.inertia == "fixed":
         experiment = with_fixed_inertia(experiment)
-    search = _run_search(experiment, options, progress)
+    search = _run_search(experiment, options, progress, before_search.is_interrupted)
 
     stages = Stages(interrupted=search.is_interrupted)
     first = _fitted(experiment, progress, options.simulate, stages)
@@ -115,7 +115,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
 
     remaining = _remaining_residual(search, after, stages)
     steps = with_doubts(_steps(search, first, last, simulate, stages), experiment.model)
-    steps = _confirmed(steps, search, remaining, stages)
+    steps = _confirmed(steps, search, remaining, faults, stages)
     steps += _unknown_steps(search, remaining, last, stages)
     no_maps: ProfilesByJoint = {}
     maps_before = stages.run("the residual map", partial(_maps, first, progress), no_maps)
@@ -131,7 +131,10 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         before=before,
         after=after,
         floor=remaining.reported_floor(after),
-        verdict=_verdict(steps),
+        is_floor_known=remaining.is_known,
+        verdict=_verdict(steps, remaining.is_known),
+        searched=options.effects,
+        stopped=search.stopped,
         maps_before=maps_before,
         maps_after=maps_after,
         notices=unique([*delay_notices, *_doubt_notices(steps), *_search_notices(search), *skipped]),
@@ -139,12 +142,15 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     )
 
 
-def _run_search(experiment: Experiment, options: Options, progress: Progress) -> EffectSearch:
-    """Search for effects that has ended, begun with the assumed ones."""
+def _run_search(experiment: Experiment, options: Options, progress: Progress, is_interrupted: bool) -> EffectSearch:
+    """Search for effects that has ended, begun with the assumed ones; after Ctrl-C, with these alone."""
     search = EffectSearch(experiment, options.effects, options.max_effects, progress, options.budget)
     for effect, target in options.assumed:
         search.assume(effect, target)
-    search.run()
+    if is_interrupted:
+        search.interrupt()
+    else:
+        search.run()
     return search
 
 
@@ -171,12 +177,18 @@ def _remaining_residual(search: EffectSearch, after: ErrorSummary, stages: Stage
     evaluate = partial(evaluate_errors, current.experiment, current.estimate.theta, False, search.progress)
     errors = stages.run("the error of all effects together", evaluate, after)
     estimate_floor = partial(structured_noise_floor, current, structure, search.progress)
-    floor = stages.run("the noise floor", estimate_floor, residual_as_floor(errors))
-    return RemainingResidual(errors, structure, floor)
+    unknown_floor = residual_as_floor(errors)
+    floor = stages.run("the noise floor", estimate_floor, unknown_floor)
+    is_known = structure is not without_structure and floor is not unknown_floor
+    return RemainingResidual(errors, structure, floor, is_known)
 
 
 def _confirmed(
-    steps: Sequence[DiagnosisStep], search: EffectSearch, remaining: RemainingResidual, stages: Stages
+    steps: Sequence[DiagnosisStep],
+    search: EffectSearch,
+    remaining: RemainingResidual,
+    faults: Sequence[Notice],
+    stages: Stages,
 ) -> list[DiagnosisStep]:
     """Steps with the size of their effects on parts of the data, and doubts about those that are not confirmed."""
     if not steps:
@@ -191,7 +203,7 @@ def _confirmed(
     confirmed = []
     for step, estimates in zip(steps, parts, strict=True):
         with_parts = replace(step, parts=tuple(estimates))
-        doubt = step.doubt or doubt_about(with_parts, floor, remaining.errors.torque)
+        doubt = step.doubt or doubt_about(with_parts, floor, remaining.errors.torque, faults)
         confirmed.append(replace(with_parts, doubt=doubt))
     return confirmed
 
@@ -361,10 +373,11 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
         yield Notice("reversals_left_aside", "warning", None, message)
 
 
-def _verdict(steps: Sequence[DiagnosisStep]) -> Verdict:
+def _verdict(steps: Sequence[DiagnosisStep], is_floor_known: bool) -> Verdict:
+    """Verdict; model and data do not agree as long as the noise floor is not known."""
     has_named = any(step.entry is not None for step in steps)
     has_unknown = any(step.entry is None for step in steps)
     has_doubt = any(step.doubt for step in steps)
     if not has_named:
-        return "unexplained" if has_unknown else "no_disagreement"
-    return "partly_explained" if has_unknown or has_doubt else "explained"
+        return "unexplained" if has_unknown or not is_floor_known else "no_disagreement"
+    return "partly_explained" if has_unknown or has_doubt or not is_floor_known else "explained"

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
+from idtool.common.notice import Notice
 from idtool.diagnosis.confirmation import contradiction
 from idtool.diagnosis.effect_order import MAX_ERROR_RATIO
 from idtool.diagnosis.records import DiagnosisStep
 
 
-def doubt_about(step: DiagnosisStep, floor: Mapping[str, float], remaining: Mapping[str, float]) -> str:
+def doubt_about(
+    step: DiagnosisStep, floor: Mapping[str, float], remaining: Mapping[str, float], faults: Iterable[Notice]
+) -> str:
     """Reason to doubt the effect of a step, a plain sentence; empty if there is none.
 
     Parameters
@@ -18,7 +21,15 @@ def doubt_about(step: DiagnosisStep, floor: Mapping[str, float], remaining: Mapp
         The step, with the size of its effect on parts of the data.
     floor, remaining
         Noise floor, and error with all effects, by joint and ``overall`` [N·m or N].
+    faults
+        Faults of the data.
     """
+    for fault in faults:
+        if fault.severity == "problem":
+            what = fault.code.replace("_", " ")
+            where = f" on {fault.subject}" if fault.subject else ""
+            return f"{step.chosen.effect} on {step.chosen.target} may imitate a fault of the data: {what}{where}"
+
     clause = contradiction(step.parts)
     if clause:
         subject = f"{step.chosen.effect} on {step.chosen.target}"

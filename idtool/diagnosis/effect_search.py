@@ -157,13 +157,17 @@ class EffectSearch:
         try:
             self._run()
         except KeyboardInterrupt:
-            self.is_interrupted = True
-            self._stop("the search was interrupted")
+            self.interrupt()
         except _TimeLimitError:
             self._stop("the search reached its time limit")
         except FAILURES as failure:
             self._stop(f"the search ended early: {failure_reason(failure)}")
         self._deadline = None
+
+    def interrupt(self) -> None:
+        """End the search as after Ctrl-C."""
+        self.is_interrupted = True
+        self._stop("the search was interrupted")
 
     def _stop(self, reason: str) -> None:
         """Return to the last model that was complete."""

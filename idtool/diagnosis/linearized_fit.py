@@ -14,9 +14,10 @@ Letters: p coefficients theta; r directions y; F blocks of time; k columns of a 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import cycle
 
 import numpy as np
 
@@ -43,6 +44,7 @@ _BARRIER_GAP = 1e-4  # of the cost, that the barrier's minimiser may cost more
 _MIN_DATA_SHARE = 1e-5  # of a direction's information: with less from the data, the prior determines it
 _RANK = 1e-13  # of the largest eigenvalue: smaller ones are 0
 _MIN_DEFINED_ROWS = 0.1  # of a joint's rows, at which the model's own columns must be defined
+_NOISE_SAMPLES = 40_000  # by which a ratio of noises is known to about two hundredths
 _SEED = 0
 
 
@@ -246,25 +248,41 @@ def _noise_gain(experiment: Experiment, noise: Array) -> Array:
     """Ratio of the rows' noise to that of the measured torque, at most 1, shape (nv,).
 
     Where a model derives the link's acceleration from the measured torque, it cancels some of that torque's noise,
-    which explains nothing. The ratio is that of white noise added to the first batch.
+    which explains nothing. The ratio is that of white noise added to the training data, often enough to know it well.
     """
     equation = experiment.equation
     gain = np.ones(len(noise))
     if not any(effect.uses_measured_torque for effect in equation.effects):
         return gain
-    run = next(run for run in experiment.runs if run.train)
-    batch = next(experiment.batches(run, held_out=False))
     theta = np.array([equation.operating_point.get(c.key, c.prior) for c in equation.coefficients])
-    white = np.random.default_rng(_SEED).standard_normal(batch.motion.tau.shape)
-    white *= (noise / batch.filter(white).std(axis=1))[:, None]
-    noisy = replace(batch.motion, tau=batch.motion.tau + white)
-    clean_residual = LinearizedModel(equation, theta, batch.motion).residual
-    change = batch.filter(LinearizedModel(equation, theta, noisy).residual - clean_residual)
-    filtered_noise = batch.filter(white)
-    for j, mask in enumerate(equation.clean_samples(batch)):
-        if mask.any():
-            gain[j] = min(float(np.linalg.norm(change[j, mask]) / np.linalg.norm(filtered_noise[j, mask])), 1.0)
+    rng = np.random.default_rng(_SEED)
+    added = np.zeros(len(noise))
+    remaining = np.zeros(len(noise))
+    for batch in _repeated_training_batches(experiment, _NOISE_SAMPLES):
+        white = rng.standard_normal(batch.motion.tau.shape)
+        white *= (noise / batch.filter(white).std(axis=1))[:, None]
+        noisy = replace(batch.motion, tau=batch.motion.tau + white)
+        clean_residual = LinearizedModel(equation, theta, batch.motion).residual
+        change = batch.filter(LinearizedModel(equation, theta, noisy).residual - clean_residual)
+        filtered_noise = batch.filter(white)
+        for j, mask in enumerate(equation.clean_samples(batch)):
+            added[j] += np.square(filtered_noise[j, mask]).sum()
+            remaining[j] += np.square(change[j, mask]).sum()
+    known = added > 0
+    gain[known] = np.minimum(np.sqrt(remaining[known] / added[known]), 1.0)
     return gain
+
+
+def _repeated_training_batches(experiment: Experiment, samples: int) -> Iterator[Batch]:
+    """Training data, from the start again when it ends, until there were at least so many samples."""
+    runs = [run for run in experiment.runs if run.train]
+    count = 0
+    for run in cycle(runs):
+        for batch in experiment.batches(run, held_out=False):
+            yield batch
+            count += len(batch.motion.t)
+            if count >= samples:
+                return
 
 
 def _block_length(experiment: Experiment) -> int:

@@ -252,8 +252,14 @@ class Diagnosis:
         Errors of the two models.
     floor
         Noise floor, rms by joint and ``overall`` [N·m or N].
+    is_floor_known
+        False if the floor was not determined, and all of the error counts as noise.
     verdict
         Summary: how much of the disagreement is explained.
+    searched
+        Ids of the effects that were searched for; None: all.
+    stopped
+        Reason why the search ended before it was complete, a clause; empty if it was complete.
     maps_before, maps_after
         Residuals by joint.
     notices
@@ -270,7 +276,10 @@ class Diagnosis:
     before: ErrorSummary
     after: ErrorSummary
     floor: Mapping[str, float]
+    is_floor_known: bool
     verdict: Verdict
+    searched: tuple[str, ...] | None
+    stopped: str
     maps_before: ProfilesByJoint
     maps_after: ProfilesByJoint
     notices: tuple[Notice, ...]

@@ -24,12 +24,14 @@ class Stages:
 
     Attributes
     ----------
+    is_interrupted
+        True if the user has asked for the result.
     notices
         Stages that were skipped, with reasons.
     """
 
     def __init__(self, interrupted: bool) -> None:
-        self._interrupted = interrupted
+        self.is_interrupted = interrupted
         self.notices: list[Notice] = []
 
     def run(self, name: str, stage: Callable[[], T], otherwise: T, is_short: bool = False) -> T:
@@ -46,15 +48,15 @@ class Stages:
         is_short
             True if it is to run even after Ctrl-C.
         """
-        if self._interrupted and not is_short:
+        if self.is_interrupted and not is_short:
             self._note(name, "the diagnosis was interrupted")
             return otherwise
         try:
             return stage()
         except KeyboardInterrupt:
-            if self._interrupted:
+            if self.is_interrupted:
                 raise
-            self._interrupted = True
+            self.is_interrupted = True
             self._note(name, "the diagnosis was interrupted")
         except FAILURES as failure:
             self._note(name, failure_reason(failure))

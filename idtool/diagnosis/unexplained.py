@@ -37,11 +37,14 @@ class RemainingResidual:
         Its `residual_structure`.
     floor
         Its noise floor.
+    is_known
+        True if structure and floor were determined; otherwise, all of the residual counts as noise.
     """
 
     errors: ErrorSummary
     structure: Sequence[Candidate]
     floor: NoiseFloor
+    is_known: bool = True
 
     def reported_floor(self, reported: ErrorSummary) -> dict[str, float]:
         """Noise floor of the model without the effects that are not reported, by joint and ``overall`` [N·m or N].

@@ -28,7 +28,7 @@ def step_sentence(step: DiagnosisStep, units: Mapping[str, str]) -> str:
     region = step.location.region
     if step.entry is None:
         where = f" ({region})" if region else ""
-        return f"{chosen.target}: the residual has structure{where} that no effect explains"
+        return f"{chosen.target}: the residual has structure{where} that the model does not explain"
     description = effect_types()[chosen.effect].description
     shown = list(step.parameters.items())[:_MAX_PARAMETERS]
     parameters = ", ".join(_parameter(name, value, step.standard_error.get(name)) for name, value in shown)

@@ -29,7 +29,9 @@ def comparison_report(comparison: Comparison) -> AgainstReport:
         summary="",
     )
     unit = common_unit(simulator.experiment.model.units)
-    return report.model_copy(update={"summary": against_summary(report, unit, comparison.measured.floor["overall"])})
+    stopped = comparison.measured.stopped or comparison.simulated.stopped
+    sentences = against_summary(report, unit, comparison.measured.floor["overall"], stopped)
+    return report.model_copy(update={"summary": sentences})
 
 
 def _pair(pair: LogPair) -> LogPairReport:

@@ -57,9 +57,11 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str, comparison: Comparison 
         units=model.units,
         inertia=inertia,
         verdict=diagnosis.verdict,
+        searched=diagnosis.searched,
+        stopped=diagnosis.stopped,
         before=_level(diagnosis.before),
         after=_level(diagnosis.after),
-        noise_floor=plain_data(diagnosis.floor),
+        noise_floor=plain_data(diagnosis.floor) if diagnosis.is_floor_known else dict.fromkeys(diagnosis.floor),
         gap_closed=_gap_closed(diagnosis),
         rollout_worse=_worse_rollouts(diagnosis.before, diagnosis.after),
         steps=[_step(step, diagnosis.last.experiment.model) for step in diagnosis.steps],
@@ -114,9 +116,9 @@ def gap_closed(
 
 
 def _gap_closed(diagnosis: Diagnosis) -> dict[str, float | None]:
-    """`gap_closed` of a diagnosis; None for all joints if model and data do not disagree."""
+    """`gap_closed` of a diagnosis; None for all joints if there is no gap, or the noise floor is not known."""
     before, after = diagnosis.before.torque, diagnosis.after.torque
-    if diagnosis.verdict == "no_disagreement":
+    if diagnosis.verdict == "no_disagreement" or not diagnosis.is_floor_known:
         return dict.fromkeys(before)
     return gap_closed(before, after, diagnosis.floor)
 

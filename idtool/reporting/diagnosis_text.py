@@ -65,23 +65,27 @@ def summary(report: DiagnosisReport) -> str:
     which = "held-out" if report.before.validation else "training"
     first = _overall(report.before)
     last = _overall(report.after)
-    floor = f"{report.noise_floor['overall']:.3g} {unit}"
+    floor = _floor_words(report)
     if report.verdict == "no_disagreement":
         return (
             f"Model and data agree: the {which} torque error, {first:.3g} {unit} RMS, cannot be distinguished from the "
-            f"noise floor, {floor}. Nothing was added."
+            f"noise floor, {report.noise_floor['overall']:.3g} {unit}. Nothing was added."
         )
     if not known_steps:
+        errors = f"The {which} torque error is {first:.3g} {unit} RMS, and {floor}."
+        if report.stopped:
+            return f"The diagnosis is incomplete: {_outcome(report.stopped)} before an effect was found. {errors}"
         cause = "but the difference is too small to be attributed to an effect"
         if unknown:
-            cause = f"and no known effect explains the difference on {unknown}"
-        return (
-            f"Model and data disagree, {cause}. The {which} torque error is {first:.3g} {unit} RMS, and the noise "
-            f"floor is {floor}."
-        )
+            cause = f"and {_no_effect(report)} explains the difference on {unknown}"
+        return f"Model and data disagree, {cause}. {errors}"
     share = report.gap_closed["overall"]
     closed = "" if share is None else f", so {100 * max(share, 0.0):.0f} % of the gap is closed"
-    rest = f" No known effect explains the remaining residual on {unknown}." if unknown else ""
+    rest = ""
+    if report.stopped:
+        rest += f" The diagnosis is incomplete: {_outcome(report.stopped)}, so more effects may be missing."
+    elif unknown:
+        rest += f" {_capitalized(_no_effect(report))} explains the remaining residual on {unknown}."
     doubted = [_effect_on_owner(step) for step in known_steps if step.evidence.doubt]
     rest += f" Doubtful: {_join_words(doubted)}; the notices give the reasons." if doubted else ""
     if worse := [_effect_on_owner(step) for step in known_steps if worse_motion(step)]:
@@ -90,8 +94,26 @@ def summary(report: DiagnosisReport) -> str:
     effects = "this effect" if len(known_steps) == 1 else "these effects"
     return (
         f"The model lacks {lacking}. With {effects}, the {which} torque error goes "
-        f"from {first:.3g} to {last:.3g} {unit} RMS. The noise floor is {floor}{closed}.{rest}"
+        f"from {first:.3g} to {last:.3g} {unit} RMS. {_capitalized(floor)}{closed}.{rest}"
     )
+
+
+def _floor_words(report: DiagnosisReport) -> str:
+    """Clause about the noise floor."""
+    floor = report.noise_floor["overall"]
+    if floor is None:
+        return "the noise floor is not known"
+    return f"the noise floor is {floor:.3g} {common_unit(report.units)}"
+
+
+def _outcome(stopped: str) -> str:
+    """How a search ended, without the details that the notices give."""
+    return stopped.partition(":")[0]
+
+
+def _no_effect(report: DiagnosisReport) -> str:
+    """The effects that explain nothing, as the subject of a clause."""
+    return "no known effect" if report.searched is None else "none of the effects searched for"
 
 
 def worse_motion(step: StepReport) -> list[str]:
@@ -137,7 +159,7 @@ def _final_motion(report: DiagnosisReport) -> str:
     return ", but that of the final model is better than that of the original one"
 
 
-def against_summary(report: AgainstReport, unit: str, floor: float) -> str:
+def against_summary(report: AgainstReport, unit: str, floor: float, stopped: str) -> str:
     """The difference between robot and simulator in a sentence or two.
 
     Parameters
@@ -148,12 +170,15 @@ def against_summary(report: AgainstReport, unit: str, floor: float) -> str:
         Unit of the torque of all joints.
     floor
         Noise floor of the robot's logs, over all joints.
+    stopped
+        Reason why the search for effects ended before it was complete, a clause; empty if it was complete.
     """
+    incomplete = f"The comparison is incomplete: {_outcome(stopped)}. " if stopped else ""
     before = report.torque_before["overall"] or 0.0
     after = report.torque_after["overall"] or 0.0
     if not report.changes:
         return (
-            "No change to make in the simulator was found. Its torque error on the robot's logs is "
+            f"{incomplete}No change to make in the simulator was found. Its torque error on the robot's logs is "
             f"{before:.3g} {unit} RMS, and the noise floor is {floor:.3g} {unit}."
         )
     effects = [change for change in report.changes if change.effect != BODIES]
@@ -163,8 +188,8 @@ def against_summary(report: AgainstReport, unit: str, floor: float) -> str:
         differences.append(f"the inertia of the links ({', '.join(bodies)})")
     names = _join_words(differences)
     return (
-        f"Simulator and robot differ in {names}. With these changes, the simulator's torque error on the robot's "
-        f"logs goes from {before:.3g} to {after:.3g} {unit} RMS."
+        f"{incomplete}Simulator and robot differ in {names}. With these changes, the simulator's torque error on the "
+        f"robot's logs goes from {before:.3g} to {after:.3g} {unit} RMS."
     )
 
 
@@ -185,10 +210,11 @@ def next_steps(report: DiagnosisReport) -> list[str]:
         if step.evidence.pair and step.alternatives:
             purpose = f"To distinguish {_effect_on_owner(step)} from {_effect_on_owner(step.alternatives[0])}"
             steps.append(f"{purpose}: {step.evidence.separate}")
-    if owners := [owner_name(step) for step in report.steps if step.effect == UNKNOWN]:
-        what = "is not explained by any known effect: see the residual maps in diagnosis.html"
-        steps.append(f"The remaining residual on {_join_words(owners)} {what}.")
-    if report.against is not None and report.against.changes:
+    owners = [owner_name(step) for step in report.steps if step.effect == UNKNOWN]
+    if owners and not report.stopped:
+        what = f"{_no_effect(report)} explains the remaining residual on {_join_words(owners)}"
+        steps.append(f"{_capitalized(what)}: see the residual maps in diagnosis.html.")
+    if report.against is not None and report.against.changes and not report.stopped:
         steps.append(
             "Make the changes in the simulator: idtool export OUT --patch FILE writes a copy of its MJCF or URDF with "
             "those that the file can represent."
@@ -230,3 +256,8 @@ def _join_words(words: Iterable[str]) -> str:
     if len(distinct) < 2:
         return "".join(distinct)
     return f"{', '.join(distinct[:-1])} and {distinct[-1]}"
+
+
+def _capitalized(sentence: str) -> str:
+    """A sentence with a capital letter; `str.capitalize` would take them from units."""
+    return sentence[:1].upper() + sentence[1:]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sentences import sentences
 
 from idtool.common.exceptions import ConfigError, SolverError
+from idtool.common.notice import Notice
 from idtool.data.signals import Motion
 from idtool.diagnosis import diagnose as module
 from idtool.diagnosis import effect_search, extended_model, reversal_rows
@@ -27,6 +28,8 @@ from idtool.diagnosis.extended_model import ExtendedModel
 from idtool.diagnosis.records import Diagnosis
 from idtool.dynamics.effects.parallel_spring import ParallelSpring
 from idtool.estimation.dataset.experiment import Experiment
+from idtool.reporting.diagnosis_report import diagnosis_report
+from idtool.reporting.diagnosis_text import summary
 from idtool.robot.config import EffectEntry
 
 EFFECTS = ("parallel_spring", "torque_offset")
@@ -178,7 +181,14 @@ def test_a_stage_that_fails_is_skipped_and_named(
 
     monkeypatch.setattr(module, stage, fail)
     found = diagnosed(arm)
-    assert named(found) == {SPRING, OFFSET}
+    is_before_search = stage == "find_data_faults" and isinstance(failure, KeyboardInterrupt)
+    assert named(found) == (set() if is_before_search else {SPRING, OFFSET})
+    assert bool(found.stopped) == is_before_search
+    is_floor_known = not is_before_search and stage not in ("residual_structure", "structured_noise_floor")
+    if isinstance(failure, ValueError):
+        assert found.is_floor_known == is_floor_known
+    if not is_floor_known:  # nothing is known of what remains
+        assert found.verdict == ("unexplained" if is_before_search else "partly_explained")
     skipped = [notice.message for notice in found.notices if notice.code == "stage_skipped"]
     if stage != "localize_unexplained":  # nothing remains to be located
         assert skipped
@@ -263,7 +273,30 @@ def test_a_budget_ends_the_search(arm: Experiment) -> None:
     assert named(found) == set()
     (notice,) = [notice for notice in found.notices if notice.code == "search_interrupted"]
     assert notice.message.startswith("the search reached its time limit")
+    assert found.stopped == "the search reached its time limit"
+    words = summary(diagnosis_report(found, "refit"))
+    assert words.startswith(
+        "The diagnosis is incomplete: the search reached its time limit before an effect was found."
+    )
     assert diagnose(arm, Options(effects=EFFECTS, simulate=False, budget=1e6), silent).verdict == "explained"
+
+
+def test_a_search_for_some_effects_says_nothing_of_others(arm: Experiment) -> None:
+    found = diagnose(arm, Options(effects=("payload",), simulate=False), silent)
+    assert found.verdict == "unexplained"
+    report = diagnosis_report(found, "refit")
+    assert "none of the effects searched for explains the difference on j2" in report.summary
+    assert report.next[0].startswith("None of the effects searched for explains the remaining residual on j2")
+
+
+def test_effects_beside_a_fault_of_the_data_are_doubtful(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    fault = Notice("wrong_sign", "problem", "j1", "as this test wants it")
+    monkeypatch.setattr(module, "find_data_faults", lambda *arguments: (fault,))
+    found = diagnosed(arm)
+    assert named(found) == {SPRING, OFFSET}
+    assert found.verdict == "partly_explained"
+    for step in found.steps:
+        assert step.doubt.endswith("may imitate a fault of the data: wrong sign on j1")
 
 
 def test_a_probe_that_fails_is_named_and_hides_no_other(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:

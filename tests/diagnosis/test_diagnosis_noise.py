@@ -6,11 +6,14 @@ from pathlib import Path
 
 import pytest
 from commands import SAMPLES
+from disturbed import silent
 from sentences import sentences
 
 from idtool.diagnosis.diagnose import Options, diagnose
+from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.trial import with_effects
 from idtool.estimation.dataset.experiment import prepare
-from idtool.robot.config import read_config
+from idtool.robot.config import EffectEntry, read_config
 from idtool.robot.urdf.reading import read_robot
 
 
@@ -20,6 +23,23 @@ def test_sample_logs_hide_nothing(robot: str) -> None:
     train, held_out = (Path(SAMPLES, f"{robot}_{part}.mcap") for part in ("train", "validate"))
     config = read_config(SAMPLES / f"{robot}.yaml")
     tried = prepare(read_robot(SAMPLES / f"{robot}.urdf"), config, [train], [held_out])
-    found = diagnose(tried, Options(simulate=False), lambda stage, share: None)
+    found = diagnose(tried, Options(simulate=False), silent)
     assert (found.verdict, found.steps, sentences(found.notices)) == ("no_disagreement", (), ())
     assert found.floor["overall"] == pytest.approx(found.after.train["overall"], rel=0.05)
+
+
+def test_the_noise_that_a_soft_joint_cancels_does_not_depend_on_gaps(tmp_path: Path) -> None:
+    """Its ratio decides whether the smaller residual of an elastic joint is more than noise against itself."""
+    whole = Path(SAMPLES, "leg_validate.csv")
+    lines = whole.read_text().splitlines(keepends=True)
+    broken = tmp_path / "broken.csv"
+    broken.write_text("".join([*lines[:2001], *lines[2021:]]))
+    soft = EffectEntry(effect="joint_elasticity", joint="abad", parameters={"stiffness": 3600.0, "motor_friction": 1.0})
+    ratios = []
+    for log in (whole, broken):
+        rigid = prepare(read_robot(SAMPLES / "leg.urdf"), read_config(SAMPLES / "leg.yaml"), [log])
+        reference = linearize_fit(rigid, silent)
+        elastic = linearize_fit(with_effects(rigid, [soft]), silent, reference)
+        ratios.append(elastic.noise / reference.noise)
+    assert ratios[0][0] < 0.85
+    assert ratios[1] == pytest.approx(ratios[0], abs=0.03)

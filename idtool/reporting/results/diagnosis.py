@@ -243,9 +243,13 @@ class DiagnosisReport(ReproducibleResult):
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
     inertia: Literal["refit", "fixed"] = field("Whether inertia was identified again at every step or kept fixed.")
     verdict: Literal["no_disagreement", "explained", "partly_explained", "unexplained"] = field("The verdict.")
+    searched: tuple[str, ...] | None = field("Effects that were searched for; null: all.")
+    stopped: str = field("Why the search ended before it was complete; empty if it was complete.")
     before: ErrorLevel = field("Errors of the model without the effects.")
     after: ErrorLevel = field("Errors of the model with the effects.")
-    noise_floor: ByJointOrNone = field("Noise floor: torque error that no model can go below [N·m or N].")
+    noise_floor: ByJointOrNone = field(
+        "Noise floor: torque error that no model can go below [N·m or N]; null if it is not known."
+    )
     gap_closed: ByJointOrNone = field("(before − after) / (before − noise floor); null if there was almost no gap.")
     rollout_worse: tuple[str, ...] = field(
         "Joints whose simulation is worse although their torque is predicted better."
