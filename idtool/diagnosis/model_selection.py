@@ -72,6 +72,44 @@ class FittedCandidate:
 
 
 @dataclass(frozen=True)
+class Screening:
+    """Result of the screening of all candidates.
+
+    Attributes
+    ----------
+    screened
+        All probes, each with its gain.
+    failed
+        Records of the candidates that could not be screened, with reasons.
+    inflation
+        Number of rows that are worth one independent row.
+    """
+
+    screened: Sequence[ScreenedProbe]
+    failed: Sequence[Candidate]
+    inflation: float
+
+
+@dataclass(frozen=True)
+class FullFits:
+    """Result of the fits of the best candidates with the whole model.
+
+    Attributes
+    ----------
+    finalists
+        Candidates that were accepted, the largest gain first.
+    rejected
+        Records of those that turned out to be no explanation, with reasons.
+    failed
+        Records of those that could not be fitted, with reasons.
+    """
+
+    finalists: Sequence[FittedCandidate]
+    rejected: Sequence[Candidate]
+    failed: Sequence[Candidate]
+
+
+@dataclass(frozen=True)
 class SelectionStep:
     """Outcome of one round.
 
@@ -150,10 +188,8 @@ def best_by_key(screened: Iterable[ScreenedProbe]) -> dict[ProbeKey, ScreenedPro
 
 def select_best(
     base: LinearizedFit,
-    fitted: Sequence[FittedCandidate],
-    rejected: Sequence[Candidate],
-    screened: Sequence[ScreenedProbe],
-    inflation: float,
+    screening: Screening,
+    fits: FullFits,
     progress: Progress,
     min_share: float = MIN_SHARE,
 ) -> SelectionStep:
@@ -163,26 +199,25 @@ def select_best(
     ----------
     base
         Model that they are to improve.
-    fitted
-        The finalists, the best first.
-    rejected
-        Candidates that could not be fitted, or turned out to be no explanation.
-    screened
-        All candidates.
-    inflation
-        Number of rows that are worth one independent one.
+    screening
+        Result of the screening of all candidates.
+    fits
+        Result of the fits of the best ones.
     progress
         Callback for the stage and its progress, from 0 to 1.
     min_share
         Share of a joint's squared residual that an effect must explain.
     """
-    worthwhile = [candidate for candidate in fitted if _is_worth_adding(candidate, base, inflation, min_share)]
-    all_rejected = _all_rejected(base, fitted, rejected, screened, inflation)
+    finalists = fits.finalists
+    inflation = screening.inflation
+    worthwhile = [candidate for candidate in finalists if _is_worth_adding(candidate, base, inflation, min_share)]
+    rejected = _all_rejected(base, screening, fits)
+    failed = _reportable([*screening.failed, *fits.failed])
     if not worthwhile:
-        return SelectionStep(base, None, (), tuple(fitted), all_rejected, inflation)
+        return SelectionStep(base, None, (), tuple(finalists), rejected, inflation, failed)
 
     winner = _simplest_of_best(worthwhile)
-    rivals = _rivals(fitted, winner, progress)
+    rivals = _rivals(finalists, winner, progress)
     indistinguishable = []
     runners_up = []
     for rival in rivals:
@@ -191,24 +226,23 @@ def select_best(
             indistinguishable.append(rival)
         else:
             runners_up.append(rival)
-    return SelectionStep(base, winner, tuple(indistinguishable), tuple(runners_up), all_rejected, inflation)
+    return SelectionStep(base, winner, tuple(indistinguishable), tuple(runners_up), rejected, inflation, failed)
 
 
-def _all_rejected(
-    base: LinearizedFit,
-    fitted: Sequence[FittedCandidate],
-    rejected: Sequence[Candidate],
-    screened: Sequence[ScreenedProbe],
-    inflation: float,
-) -> tuple[Candidate, ...]:
-    """Candidates that are no finalists: those rejected already, and those that the screening rejects."""
+def _all_rejected(base: LinearizedFit, screening: Screening, fits: FullFits) -> tuple[Candidate, ...]:
+    """Records of all candidates that are no finalists: with those already judged, those that the screening rejects."""
+    rejected = [*fits.rejected, *screening.failed, *fits.failed]
     judged = {(candidate.effect, candidate.target) for candidate in rejected}
-    judged |= {probe_target(candidate.probe) for candidate in fitted}
-    all_rejected = list(rejected)
-    for candidate in best_by_key(screened).values():
+    judged |= {probe_target(candidate.probe) for candidate in fits.finalists}
+    for candidate in best_by_key(screening.screened).values():
         if probe_target(candidate.probe) not in judged:
-            all_rejected.append(_rejected_by_screening(candidate, base, inflation))
-    return tuple(candidate for candidate in all_rejected if is_reportable(candidate.effect))
+            rejected.append(_rejected_by_screening(candidate, base, screening.inflation))
+    return _reportable(rejected)
+
+
+def _reportable(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """Those of the candidates whose effects are answers of a diagnosis."""
+    return tuple(candidate for candidate in candidates if is_reportable(candidate.effect))
 
 
 def _simplest_of_best(worthwhile: Sequence[FittedCandidate]) -> FittedCandidate:

@@ -11,7 +11,6 @@ independent rows.
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -22,11 +21,12 @@ from idtool.diagnosis.model_selection import (
     MIN_SHARE,
     MIN_SIGNIFICANCE,
     FittedCandidate,
+    FullFits,
     ProbeKey,
+    Screening,
     SelectionStep,
     best_by_key,
     block_gains,
-    is_reportable,
     probe_key,
     screened_record,
     select_best,
@@ -94,34 +94,79 @@ def find_best_effect(
         Keys of candidates that are not tried.
     """
     summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
-    candidates, failed = _candidate_probes(summary, effects)
+    screening = _screen_all(base, summary, effects, skipped, progress)
+    candidates = _refine(base, screening.screened, progress)
+    fits = _fit_finalists(candidates, base, initial, summary, screening.inflation, progress)
+    return select_best(base, screening, fits, progress, min_share)
+
+
+def _screen_all(
+    base: LinearizedFit,
+    summary: DataSummary,
+    effects: Sequence[str] | None,
+    skipped: Container[ProbeKey],
+    progress: Progress,
+) -> Screening:
+    """All candidates but the skipped ones, screened on the effects' own grids of nonlinear values."""
+    candidates, not_built = _candidate_probes(summary, effects)
     probes = [probe for probe in candidates if probe_key(probe) not in skipped]
     screened = screen_probes(base, probes, progress)
-    failed += _screening_failures(base, screened)
-    inflation = _row_inflation(base, screened)
+    failed = [*not_built, *_screening_failures(base, screened)]
+    return Screening(screened, failed, _row_inflation(base, screened))
+
+
+def _refine(base: LinearizedFit, screened: Sequence[ScreenedProbe], progress: Progress) -> list[ScreenedProbe]:
+    """Best probe of each promising candidate, the largest gain first; the best candidates on a finer grid."""
     best = best_by_key(_promising(screened))
     to_refine = _by_gain(best.values())[:_MAX_REFINED]
-    refined = screen_probes(base, list(_refined_probes(to_refine, screened)), progress, "fitting candidates")
+    finer_probes = list(_refined_probes(to_refine, screened))
+    refined = screen_probes(base, finer_probes, progress, "fitting candidates")
     best = best_by_key([*best.values(), *_promising(refined)])
+    return _by_gain(best.values())
 
+
+def _fit_finalists(
+    candidates: Sequence[ScreenedProbe],
+    base: LinearizedFit,
+    initial: LinearizedFit,
+    summary: DataSummary,
+    inflation: float,
+    progress: Progress,
+) -> FullFits:
+    """Candidates fitted with the whole model, until their gain is due to chance or far below that of an accepted one.
+
+    Parameters
+    ----------
+    candidates
+        The candidates, the largest gain first.
+    base, initial
+        The model, and the model without any of the effects found.
+    summary
+        The robot and its data.
+    inflation
+        Number of rows that are worth one independent row.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    """
     finalists: list[FittedCandidate] = []
     rejected: list[Candidate] = []
-    for candidate in _by_gain(best.values())[:_MAX_FULL_FITS]:
-        best_gain = max((finalist.screened.gain for finalist in finalists), default=0.0)
+    failed: list[Candidate] = []
+    best_gain = 0.0
+    for candidate in candidates[:_MAX_FULL_FITS]:
         if candidate.gain < max(MIN_SIGNIFICANCE**2 * inflation, _MIN_GAIN_RATIO * best_gain):
             break
         try:
-            finalist, objection = _fit_and_judge(candidate, base, initial, summary, progress)
+            fitted, objection = _fit_and_judge(candidate, base, initial, summary, progress)
         except FAILURES as failure:
             failed.append(screened_record(candidate, base, not_fitted_reason(failure)))
             continue
         if objection:
             rejected.append(screened_record(candidate, base, objection))
         else:
-            finalists.append(finalist)
+            finalists.append(fitted)
+            best_gain = max(best_gain, candidate.gain)
     finalists.sort(key=lambda finalist: -finalist.gain)
-    step = select_best(base, finalists, [*rejected, *failed], screened, inflation, progress, min_share)
-    return replace(step, failed=tuple(candidate for candidate in failed if is_reportable(candidate.effect)))
+    return FullFits(finalists, rejected, failed)
 
 
 def _fit_and_judge(
