@@ -96,7 +96,7 @@ def find_best_effect(
     summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
     screening = _screen_all(base, summary, effects, skipped, progress)
     candidates = _refine(base, screening.screened, progress)
-    fits = _fit_finalists(candidates, base, initial, summary, screening.inflation, progress)
+    fits = _fit_best_candidates(base, initial, candidates, summary, screening.inflation, progress)
     return select_best(base, screening, fits, progress, min_share)
 
 
@@ -125,10 +125,10 @@ def _refine(base: LinearizedFit, screened: Sequence[ScreenedProbe], progress: Pr
     return _by_gain(best.values())
 
 
-def _fit_finalists(
-    candidates: Sequence[ScreenedProbe],
+def _fit_best_candidates(
     base: LinearizedFit,
     initial: LinearizedFit,
+    candidates: Sequence[ScreenedProbe],
     summary: DataSummary,
     inflation: float,
     progress: Progress,
@@ -137,10 +137,10 @@ def _fit_finalists(
 
     Parameters
     ----------
-    candidates
-        The candidates, the largest gain first.
     base, initial
         The model, and the model without any of the effects found.
+    candidates
+        The candidates, the largest gain first.
     summary
         The robot and its data.
     inflation
@@ -315,7 +315,7 @@ def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[Scre
 
 
 def _refined_values(value: float, grid: Sequence[float]) -> list[float]:
-    """Values between the neighbours of a value in an ascending grid; at an end of the grid, from the value itself."""
+    """Values between the neighbours of a value in an ascending grid; at an end of the grid, it is its own neighbour."""
     position = grid.index(value)
     low = grid[max(position - 1, 0)]
     high = grid[min(position + 1, len(grid) - 1)]
@@ -428,7 +428,7 @@ def _undetermined_parameter(trial: TrialFit) -> str:
         if need_not_be_determined or key not in trial.errors or not isinstance(value, float):
             continue
         is_precise = trial.errors[key] < _max_standard_error(parameter, value)
-        low, high = trial.ranges.get(key, (-np.inf, np.inf))  # only positive parameters have a range
+        low, high = trial.ranges.get(key, (-np.inf, np.inf))  # of these, only positive ones have one
         is_inside = low * _RANGE_EDGE_RATIO < value < high / _RANGE_EDGE_RATIO
         if not (is_precise and is_inside):
             return parameter.name
@@ -436,7 +436,7 @@ def _undetermined_parameter(trial: TrialFit) -> str:
 
 
 def _max_standard_error(parameter: NonlinearParameter, value: float) -> float:
-    """Standard error from which a value of a nonlinear parameter is not determined; infinite if any will do."""
+    """Standard error from which a value of a nonlinear parameter is undetermined; infinite if any finite one passes."""
     if parameter.max_standard_error is not None:
         return parameter.max_standard_error
     if parameter.positive:
