@@ -106,13 +106,16 @@ def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: 
 def with_fixed_inertia(experiment: Experiment) -> Experiment:
     """Experiment with the bodies' parameters known to be those of the URDF."""
     coefficient_count = len(experiment.equation.coefficients)
-    body_count = PI_SIZE * len(experiment.model.bodies)
+    body_parameter_count = PI_SIZE * len(experiment.model.bodies)
     prior = experiment.equation.prior
     equalities = experiment.equalities
     identity = np.eye(coefficient_count)
-    inertia = [Constraint(_FIXED_INERTIA, identity[i], float(prior[i])) for i in equalities.free if i < body_count]
+    inertia = []
+    for i in equalities.free:
+        if i < body_parameter_count:
+            inertia.append(Constraint(_FIXED_INERTIA, identity[i], float(prior[i])))
     # constraints on the bodies alone would contradict the fixed values, or repeat them
-    others = [constraint for constraint in equalities.constraints if constraint.row[body_count:].any()]
+    others = [constraint for constraint in equalities.constraints if constraint.row[body_parameter_count:].any()]
     no_prior = Regularization(kind="none", weight=0)
     config = experiment.config.model_copy(update={"constraints": "none", "regularization": no_prior})
     return replace(experiment, config=config, equalities=replace(equalities, constraints=(*others, *inertia)))
