@@ -1,7 +1,9 @@
 """Selection of the best of the fitted effects, and of those that the data cannot distinguish from it.
 
-A gain is the reduction of the squared residual on blocks of time not used for fitting, in units of the noise. Rows are
-correlated, so it must be ``inflation`` times larger than with independent rows.
+The gain of a candidate is the reduction of the squared residual by it in cross-validation, summed over the blocks of
+time that are left out in turn, in units of the noise variance. Rows that follow one another are correlated: inflation
+is the number of rows that are worth one independent row, and a gain must be that many times larger than with
+independent rows.
 """
 
 from __future__ import annotations
@@ -22,14 +24,14 @@ from idtool.estimation.dataset.experiment import Progress
 
 ProbeKey = tuple[str, ...]
 
-MIN_SIGNIFICANCE = 5.0  # standard errors of noise that a gain must exceed: some thousand candidates compete
-_GAIN_PER_PARAMETER = 4.0  # in units of the noise, that each further parameter must add
+MIN_SIGNIFICANCE = 5.0  # standard errors of an effect; squared, its least gain: some thousand candidates compete
+_GAIN_PER_PARAMETER = 4.0  # that each further parameter must add
 MIN_SHARE = 0.1  # of a joint's squared residual, that an effect must explain
-_SAME_GAIN = 2.0  # standard errors within which two gains are the same
-_SIMPLER_LOSS = 0.03  # of the best gain, that a simpler explanation may lack
-_MAX_RIVAL_GAIN = 0.5  # of its gain, that a rival keeps at most with the winner in the model
-_NEAR_GAIN = 0.8  # of the larger gain, from which chance may be the difference
-_SAME_RESIDUAL = 1.1  # ratio of two squared residuals that are as good as the same
+_MIN_DIFFERENCE_SIGNIFICANCE = 2.0  # standard errors by which the gains of two candidates must differ
+_MAX_SIMPLER_LOSS = 0.03  # of the best gain, that a simpler explanation may lack
+_MAX_RIVAL_GAIN_RATIO = 0.5  # of a rival's gain with the winner in the model to its gain without
+_MIN_NEAR_GAIN_RATIO = 0.8  # of two gains whose difference may be due to chance
+_MAX_RESIDUAL_RATIO = 1.1  # of two squared residuals that are as good as the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,7 @@ class FittedCandidate:
     trial
         Fit of the model with it.
     gains
-        Reduction of each block's squared residual, shape (F,).
+        Gain in each block by the fit, shape (F,).
     """
 
     screened: ScreenedProbe
@@ -57,7 +59,7 @@ class FittedCandidate:
 
     @property
     def gain(self) -> float:
-        """Reduction of the squared residual over all blocks."""
+        """Gain over all blocks."""
         return float(self.gains.sum())
 
     @property
@@ -66,9 +68,47 @@ class FittedCandidate:
         return sum_standard_error(self.gains)
 
     @property
-    def remaining(self) -> float:
-        """Squared validation error of the model with the effect."""
+    def cv_squared_error(self) -> float:
+        """Squared cross-validation error of the model with the effect."""
         return self.trial.linearized.total_cv_squared_error
+
+
+@dataclass(frozen=True)
+class Screening:
+    """Result of the screening of all candidates.
+
+    Attributes
+    ----------
+    screened
+        All probes, each with its gain.
+    failed
+        Records of the candidates that could not be screened, with reasons.
+    inflation
+        Number of rows that are worth one independent row.
+    """
+
+    screened: Sequence[ScreenedProbe]
+    failed: Sequence[Candidate]
+    inflation: float
+
+
+@dataclass(frozen=True)
+class FullFits:
+    """Result of the fits of the best candidates with the whole model.
+
+    Attributes
+    ----------
+    finalists
+        Candidates that were accepted, the largest gain first.
+    rejected
+        Records of those that turned out to be no explanation, with reasons.
+    failed
+        Records of those that could not be fitted, with reasons.
+    """
+
+    finalists: Sequence[FittedCandidate]
+    rejected: Sequence[Candidate]
+    failed: Sequence[Candidate]
 
 
 @dataclass(frozen=True)
@@ -84,13 +124,13 @@ class SelectionStep:
     indistinguishable
         Effects that the data cannot distinguish from it, the best first.
     runners_up
-        The other finalists.
+        Other finalists that explain the same part of the residual; without a winner, all finalists.
     rejected
-        All other effects that were tried, with reasons.
+        Records of all candidates that are no finalists, with reasons.
     inflation
-        Number of rows that are worth one independent one.
+        Number of rows that are worth one independent row.
     failed
-        Those of ``rejected`` that could not be fitted.
+        Those of ``rejected`` that could not be screened or fitted.
     """
 
     base: LinearizedFit
@@ -102,7 +142,7 @@ class SelectionStep:
     failed: tuple[Candidate, ...] = ()
 
     def alternatives(self) -> tuple[Candidate, ...]:
-        """All finalists but the winner, the best first."""
+        """Records of the finalists that compete with the winner, the best first."""
         finalists = (*self.indistinguishable, *self.runners_up)
         return tuple(fitted_record(candidate, self.base) for candidate in finalists)
 
@@ -130,12 +170,12 @@ def block_gains(before: LinearizedFit, after: LinearizedFit) -> Array:
     return np.asarray(before.cv_squared_error - after.cv_squared_error)
 
 
-def explained_share(gain: float, base: LinearizedFit, joints: int) -> float:
-    """Gain as a share of the squared residual of a number of joints.
+def explained_share(gain: float, base: LinearizedFit, joint_count: int) -> float:
+    """Gain as a share of the squared residual of as many joints.
 
-    In units of the noise, every joint has about the same.
+    In units of the noise, every joint has about the same, so that each has an equal part of the total.
     """
-    return float(gain / base.total_cv_squared_error * base.joint_count / joints)
+    return float(gain / base.total_cv_squared_error * base.joint_count / joint_count)
 
 
 def best_by_key(screened: Iterable[ScreenedProbe]) -> dict[ProbeKey, ScreenedProbe]:
@@ -150,10 +190,8 @@ def best_by_key(screened: Iterable[ScreenedProbe]) -> dict[ProbeKey, ScreenedPro
 
 def select_best(
     base: LinearizedFit,
-    fitted: Sequence[FittedCandidate],
-    rejected: Sequence[Candidate],
-    screened: Sequence[ScreenedProbe],
-    inflation: float,
+    screening: Screening,
+    fits: FullFits,
     progress: Progress,
     min_share: float = MIN_SHARE,
 ) -> SelectionStep:
@@ -163,26 +201,25 @@ def select_best(
     ----------
     base
         Model that they are to improve.
-    fitted
-        The finalists, the best first.
-    rejected
-        Candidates that could not be fitted, or turned out to be no explanation.
-    screened
-        All candidates.
-    inflation
-        Number of rows that are worth one independent one.
+    screening
+        Result of the screening of all candidates.
+    fits
+        Result of the fits of the best ones.
     progress
         Callback for the stage and its progress, from 0 to 1.
     min_share
         Share of a joint's squared residual that an effect must explain.
     """
-    worthwhile = [candidate for candidate in fitted if _is_worth_adding(candidate, base, inflation, min_share)]
-    all_rejected = _all_rejected(base, fitted, rejected, screened, inflation)
+    finalists = fits.finalists
+    inflation = screening.inflation
+    worthwhile = [candidate for candidate in finalists if _is_worth_adding(candidate, base, inflation, min_share)]
+    rejected = _all_rejected(base, screening, fits)
+    failed = _reportable([*screening.failed, *fits.failed])
     if not worthwhile:
-        return SelectionStep(base, None, (), tuple(fitted), all_rejected, inflation)
+        return SelectionStep(base, None, (), tuple(finalists), rejected, inflation, failed)
 
     winner = _simplest_of_best(worthwhile)
-    rivals = _rivals(fitted, winner, progress)
+    rivals = _rivals(finalists, winner, progress)
     indistinguishable = []
     runners_up = []
     for rival in rivals:
@@ -191,24 +228,23 @@ def select_best(
             indistinguishable.append(rival)
         else:
             runners_up.append(rival)
-    return SelectionStep(base, winner, tuple(indistinguishable), tuple(runners_up), all_rejected, inflation)
+    return SelectionStep(base, winner, tuple(indistinguishable), tuple(runners_up), rejected, inflation, failed)
 
 
-def _all_rejected(
-    base: LinearizedFit,
-    fitted: Sequence[FittedCandidate],
-    rejected: Sequence[Candidate],
-    screened: Sequence[ScreenedProbe],
-    inflation: float,
-) -> tuple[Candidate, ...]:
-    """Candidates that are no finalists: those rejected already, and those that the screening rejects."""
+def _all_rejected(base: LinearizedFit, screening: Screening, fits: FullFits) -> tuple[Candidate, ...]:
+    """Records of all candidates that are no finalists: with those already judged, those that the screening rejects."""
+    rejected = [*fits.rejected, *screening.failed, *fits.failed]
     judged = {(candidate.effect, candidate.target) for candidate in rejected}
-    judged |= {probe_target(candidate.probe) for candidate in fitted}
-    all_rejected = list(rejected)
-    for candidate in best_by_key(screened).values():
+    judged |= {probe_target(candidate.probe) for candidate in fits.finalists}
+    for candidate in best_by_key(screening.screened).values():
         if probe_target(candidate.probe) not in judged:
-            all_rejected.append(_rejected_by_screening(candidate, base, inflation))
-    return tuple(candidate for candidate in all_rejected if is_reportable(candidate.effect))
+            rejected.append(_rejected_by_screening(candidate, base, screening.inflation))
+    return _reportable(rejected)
+
+
+def _reportable(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """Those of the candidates whose effects are answers of a diagnosis."""
+    return tuple(candidate for candidate in candidates if is_reportable(candidate.effect))
 
 
 def _simplest_of_best(worthwhile: Sequence[FittedCandidate]) -> FittedCandidate:
@@ -221,6 +257,7 @@ def _simplest_of_best(worthwhile: Sequence[FittedCandidate]) -> FittedCandidate:
 
 
 def _is_worth_adding(candidate: FittedCandidate, base: LinearizedFit, inflation: float, min_share: float) -> bool:
+    """`is_worthwhile` of a candidate's gain."""
     probe = candidate.probe
     return is_worthwhile(candidate.gain, base, inflation, probe.joint is not None, probe.complexity, min_share)
 
@@ -230,7 +267,7 @@ def is_worthwhile(
     base: LinearizedFit,
     inflation: float,
     on_joint: bool,
-    parameters: int,
+    parameter_count: int,
     min_share: float = MIN_SHARE,
 ) -> bool:
     """True if a gain is not due to chance, and large enough for an effect.
@@ -238,63 +275,64 @@ def is_worthwhile(
     Parameters
     ----------
     gain
-        Reduction of the squared residual by the effect.
+        Gain of the effect.
     base
         The model without it.
     inflation
-        Number of rows that are worth one independent one.
+        Number of rows that are worth one independent row.
     on_joint
         True if it acts on a single joint.
-    parameters
+    parameter_count
         Number of its parameters.
     min_share
         Share of the squared residual of its joints that it must explain.
     """
-    min_gain = inflation * (MIN_SIGNIFICANCE**2 + _GAIN_PER_PARAMETER * (parameters - 1))
-    joints = 1 if on_joint else base.joint_count
-    return gain > min_gain and explained_share(gain, base, joints) > min_share
+    min_gain = inflation * (MIN_SIGNIFICANCE**2 + _GAIN_PER_PARAMETER * (parameter_count - 1))
+    joint_count = 1 if on_joint else base.joint_count
+    return gain > min_gain and explained_share(gain, base, joint_count) > min_share
 
 
 def _is_as_good(candidate: FittedCandidate, best: FittedCandidate) -> bool:
-    """True if a candidate is as good as the best within what chance explains."""
-    return best.gain - candidate.gain <= _SIMPLER_LOSS * best.gain and not _gains_differ(candidate, best)
+    """True if a candidate lacks little of the best gain, and no more than chance explains."""
+    return best.gain - candidate.gain <= _MAX_SIMPLER_LOSS * best.gain and not _gains_differ(candidate, best)
 
 
 def _is_indistinguishable(a: FittedCandidate, b: FittedCandidate) -> bool:
-    """True if the data do not distinguish two candidates: by chance, or as their residuals are nearly the same."""
-    smaller, larger = sorted((a.remaining, b.remaining))
-    is_near = min(a.gain, b.gain) > _NEAR_GAIN * max(a.gain, b.gain)
-    return (is_near and not _gains_differ(a, b)) or larger < _SAME_RESIDUAL * smaller
+    """True if two candidates' gains differ little and by no more than chance, or what they leave is nearly the same."""
+    smaller, larger = sorted((a.cv_squared_error, b.cv_squared_error))
+    is_same_residual = larger < _MAX_RESIDUAL_RATIO * smaller
+    is_near = min(a.gain, b.gain) > _MIN_NEAR_GAIN_RATIO * max(a.gain, b.gain)
+    return is_same_residual or (is_near and not _gains_differ(a, b))
 
 
-def _rivals(fitted: Sequence[FittedCandidate], winner: FittedCandidate, progress: Progress) -> list[FittedCandidate]:
-    """Candidates that explain the same part of the residual as the winner: with it in the model, far less is left."""
-    others = [candidate for candidate in fitted if candidate is not winner and is_reportable(candidate.probe.effect)]
+def _rivals(finalists: Sequence[FittedCandidate], winner: FittedCandidate, progress: Progress) -> list[FittedCandidate]:
+    """Finalists that explain the same part of the residual as the winner: with it in the model, they gain far less."""
+    others = [candidate for candidate in finalists if candidate is not winner and is_reportable(candidate.probe.effect)]
     if not others:
         return []
     probes = [candidate.probe for candidate in others]
     with_winner = screen_probes(winner.trial.linearized, probes, progress, "comparing candidates")
     rivals = []
     for candidate, rescreened in zip(others, with_winner, strict=True):
-        if rescreened.gain < _MAX_RIVAL_GAIN * candidate.screened.gain:
+        if rescreened.gain < _MAX_RIVAL_GAIN_RATIO * candidate.screened.gain:
             rivals.append(candidate)
     return rivals
 
 
 def _generalizes(a: FittedCandidate, b: FittedCandidate) -> bool:
-    """True if one candidate can imitate the other, and so never explains less by itself."""
+    """True if the first candidate can imitate the second, and so never explains less by itself."""
     return a.probe.joint == b.probe.joint and b.probe.effect in effect_types()[a.probe.effect].generalizes
 
 
 def _gains_differ(a: FittedCandidate, b: FittedCandidate) -> bool:
-    """True if the gains of two candidates differ by more than chance."""
+    """True if the gains of two candidates differ by more than chance, by the scatter of the difference over blocks."""
     difference = b.gains - a.gains
-    return bool(abs(difference.sum()) > _SAME_GAIN * sum_standard_error(difference))
+    return bool(abs(difference.sum()) > _MIN_DIFFERENCE_SIGNIFICANCE * sum_standard_error(difference))
 
 
 def _rejected_by_screening(candidate: ScreenedProbe, base: LinearizedFit, inflation: float) -> Candidate:
     """Record of a candidate that the screening rejected."""
-    share = explained_share(candidate.gain, base, _joints_reached(candidate.probe, base))
+    share = explained_share(candidate.gain, base, _joint_count(candidate.probe, base))
     if not candidate.probe.is_feasible(candidate.c):
         reason = "its parameters have a sign or size that is physically impossible"
     elif candidate.entry is None:
@@ -321,14 +359,14 @@ def fitted_record(candidate: FittedCandidate, base: LinearizedFit) -> Candidate:
 
 
 def _scores(gain: float, standard_error: float, probe: Probe, base: LinearizedFit) -> tuple[float, float]:
-    """Gain and its standard error as shares of the residual of the joints that a probe reaches, at most 1."""
-    joints = _joints_reached(probe, base)
-    score = explained_share(gain, base, joints)
-    error = explained_share(standard_error, base, joints)
+    """Gain and its standard error as shares of the residual of the joints that a probe acts on, at most 1."""
+    joint_count = _joint_count(probe, base)
+    score = explained_share(gain, base, joint_count)
+    error = explained_share(standard_error, base, joint_count)
     excess = max(score, 1.0)  # a gain can exceed the average joint's residual
     return score / excess, error / excess
 
 
-def _joints_reached(probe: Probe, base: LinearizedFit) -> int:
+def _joint_count(probe: Probe, base: LinearizedFit) -> int:
     """Number of joints that a probe acts on."""
     return 1 if probe.joint else base.joint_count

@@ -1,12 +1,16 @@
 """One round of the search: all candidates are screened to first order, and the best are fitted with the whole model.
 
 `model_selection` chooses among them.
+
+The *gain* of a candidate is the reduction of the squared residual by it in cross-validation, summed over the blocks of
+time that are left out in turn, in units of the noise variance. Rows that follow one another are correlated: *inflation*
+is the number of rows that are worth one independent row. A gain by chance is that many times larger than with
+independent rows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,11 +21,12 @@ from idtool.diagnosis.model_selection import (
     MIN_SHARE,
     MIN_SIGNIFICANCE,
     FittedCandidate,
+    FullFits,
     ProbeKey,
+    Screening,
     SelectionStep,
     best_by_key,
     block_gains,
-    is_reportable,
     probe_key,
     screened_record,
     select_best,
@@ -39,23 +44,25 @@ from idtool.diagnosis.trial import (
 )
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import Burst, DataSummary
+from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
 
 Bursts = tuple[Burst, ...]
 
-_REFINED = 7  # candidates that are tried on a finer grid
-_MAX_FINALISTS = 5  # candidates that are fitted with the whole model
-_MIN_FINALIST_GAIN = 0.4  # of the best gain
-_MAX_VALIDATION_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
-_MAX_LOSS = 0.2  # of its gains in some blocks, that an effect may lose in others
+_MAX_REFINED = 7  # candidates that are screened again on a finer grid
+_REFINEMENT_POINTS = 7  # values that are screened again between the neighbours of a value in the grid
+_MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, those that are then rejected included
+_MIN_GAIN_RATIO = 0.4  # to the gain of the best accepted candidate, for a candidate to be fitted
+_MAX_GAUSS_NEWTON_STEPS = 5  # of the fit of a candidate for which one step is not enough
+_MAX_HELD_OUT_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
+_MAX_LOSS_SHARE = 0.2  # of its gains in some blocks, that an effect may lose in others
 MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter is at least from zero
-_MIN_SAVED_SHARE = 1e-4  # of a joint's squared residual without any effect: those found are known no better
-_NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual counts as zero
-_RANGE_EDGE = 1.02  # ratio to a range's end, up to which a value is at the end
-_AT_BOUND = 1e-9  # distance from a bound, up to which a coefficient is at it
-_MAX_STEPS = 5  # of the fit of a candidate for which one step is not enough
-_FINE_VALUES = 7  # between the neighbours of a value in the grid
+# of a joint's squared residual without any effect: the effects found are assumed accurate to 1 %, squared 1e-4
+_MIN_SAVED_SHARE = 1e-4
+_NEGLIGIBLE_SHARE = 3e-3  # of a joint's rms torque: a smaller residual counts as zero
+_RANGE_EDGE_RATIO = 1.02  # ratio to an end of a range, up to which a value is at that end
+_BOUND_TOLERANCE = 1e-9  # distance from a bound, up to which a coefficient is at it
 
 
 def find_best_effect(
@@ -87,56 +94,108 @@ def find_best_effect(
         Keys of candidates that are not tried.
     """
     summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
-    candidates, failed = _candidate_probes(summary, effects)
+    screening = _screen_all(base, summary, effects, skipped, progress)
+    candidates = _refine(base, screening.screened, progress)
+    fits = _fit_best_candidates(base, initial, candidates, summary, screening.inflation, progress)
+    return select_best(base, screening, fits, progress, min_share)
+
+
+def _screen_all(
+    base: LinearizedFit,
+    summary: DataSummary,
+    effects: Sequence[str] | None,
+    skipped: Container[ProbeKey],
+    progress: Progress,
+) -> Screening:
+    """All candidates but the skipped ones, screened on the effects' own grids of nonlinear values."""
+    candidates, not_built = _candidate_probes(summary, effects)
     probes = [probe for probe in candidates if probe_key(probe) not in skipped]
     screened = screen_probes(base, probes, progress)
-    failed += _screening_failures(base, screened)
-    inflation = _median_inflation(base, screened)
-    best = best_by_key(_promising(screened))
-    to_refine = _by_gain(best.values())[:_REFINED]
-    refined = screen_probes(base, list(_refined_probes(to_refine, screened)), progress, "fitting candidates")
-    best = best_by_key([*best.values(), *_promising(refined)])
+    failed = [*not_built, *_screening_failures(base, screened)]
+    return Screening(screened, failed, _row_inflation(base, screened))
 
+
+def _refine(base: LinearizedFit, screened: Sequence[ScreenedProbe], progress: Progress) -> list[ScreenedProbe]:
+    """Best probe of each promising candidate, the largest gain first; the best candidates on a finer grid."""
+    best = best_by_key(_promising(screened))
+    to_refine = _by_gain(best.values())[:_MAX_REFINED]
+    finer_probes = list(_refined_probes(to_refine, screened))
+    refined = screen_probes(base, finer_probes, progress, "fitting candidates")
+    best = best_by_key([*best.values(), *_promising(refined)])
+    return _by_gain(best.values())
+
+
+def _fit_best_candidates(
+    base: LinearizedFit,
+    initial: LinearizedFit,
+    candidates: Sequence[ScreenedProbe],
+    summary: DataSummary,
+    inflation: float,
+    progress: Progress,
+) -> FullFits:
+    """Candidates fitted with the whole model, until their gain is due to chance or far below that of an accepted one.
+
+    Parameters
+    ----------
+    base, initial
+        The model, and the model without any of the effects found.
+    candidates
+        The candidates, the largest gain first.
+    summary
+        The robot and its data.
+    inflation
+        Number of rows that are worth one independent row.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    """
     finalists: list[FittedCandidate] = []
     rejected: list[Candidate] = []
-    for candidate in _by_gain(best.values())[:_MAX_FINALISTS]:
-        best_gain = max((finalist.screened.gain for finalist in finalists), default=0.0)
-        if candidate.gain < max(MIN_SIGNIFICANCE**2 * inflation, _MIN_FINALIST_GAIN * best_gain):
+    failed: list[Candidate] = []
+    best_gain = 0.0
+    for candidate in candidates[:_MAX_FULL_FITS]:
+        if candidate.gain < max(MIN_SIGNIFICANCE**2 * inflation, _MIN_GAIN_RATIO * best_gain):
             break
         try:
-            finalist, objection = _fit_and_judge(candidate, base, initial, summary, progress)
+            fitted, objection = _fit_and_judge(candidate, base, initial, summary, progress)
         except FAILURES as failure:
             failed.append(screened_record(candidate, base, not_fitted_reason(failure)))
             continue
         if objection:
             rejected.append(screened_record(candidate, base, objection))
         else:
-            finalists.append(finalist)
+            finalists.append(fitted)
+            best_gain = max(best_gain, candidate.gain)
     finalists.sort(key=lambda finalist: -finalist.gain)
-    step = select_best(base, finalists, [*rejected, *failed], screened, inflation, progress, min_share)
-    return replace(step, failed=tuple(candidate for candidate in failed if is_reportable(candidate.effect)))
+    return FullFits(finalists, rejected, failed)
 
 
 def _fit_and_judge(
     candidate: ScreenedProbe, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary, progress: Progress
 ) -> tuple[FittedCandidate, str]:
-    """Candidate fitted with the whole model, and the reason why it is no explanation; empty if it may be one."""
+    """Candidate fitted with the whole model, and the reason why it is rejected, as a clause; empty if it is accepted.
+
+    A candidate that would be rejected is fitted again together with the nonlinear parameters of the other effects on
+    its joint: these were found without the candidate, and may imitate it.
+    """
     fitted = _fit_candidate(base, candidate, progress)
     objection = _objection(fitted, base, initial, summary)
-    neighbours = _movable_on_joint(base, candidate.probe.joint)
-    if objection and neighbours:  # without the candidate, their parameters may have imitated it
-        try:
-            refitted = _fit_candidate(base, candidate, progress, neighbours)
-        except FAILURES:
-            return fitted, objection
-        return refitted, _objection(refitted, base, initial, summary)
-    return fitted, objection
+    others = _movable_on_joint(base, candidate.probe.joint)
+    if not objection or not others:
+        return fitted, objection
+    try:
+        refitted = _fit_candidate(base, candidate, progress, others)
+    except FAILURES:
+        return fitted, objection
+    return refitted, _objection(refitted, base, initial, summary)
 
 
 def fit_assumed_effect(
     base: LinearizedFit, progress: Progress, effect: str, target: str | None, bursts: Bursts = ()
 ) -> SelectionStep:
-    """Fit of an effect where it explains most, however little that is.
+    """Fit one given effect at the joint or link where it explains most, without requiring that it explain anything.
+
+    Its nonlinear values are not screened on a finer grid, which serves the comparison of candidates: the fit moves them
+    from the best values of the grid.
 
     Parameters
     ----------
@@ -161,31 +220,39 @@ def fit_assumed_effect(
     for candidate in sorted(screened, key=lambda one: (not one.is_possible, -one.gain)):
         try:
             winner = _fit_candidate(base, candidate, progress)
+            break
         except FAILURES:
             continue
-        break
-    return SelectionStep(base, winner, (), (), (), _median_inflation(base, screened))
+    return SelectionStep(base, winner, (), (), (), _row_inflation(base, screened))
 
 
 def _candidate_probes(summary: DataSummary, effects: Sequence[str] | None) -> tuple[list[Probe], list[Candidate]]:
-    """Hypotheses of all effects that may be missing, and the effects that cannot be tried, with reasons.
+    """Probes of all effects that may be missing, and records of the effects whose probes cannot be built.
 
     Effects that are fitted without being reported are always among them.
+
+    Parameters
+    ----------
+    summary
+        The robot and its data.
+    effects
+        Ids of the effects to try; None: all.
     """
-    kinds = {}
-    for id, kind in effect_types().items():
-        if effects is None or id in effects or not kind.reportable:
-            kinds[id] = kind
+    searched = {}
+    for effect_id, effect_type in effect_types().items():
+        if effects is None or effect_id in effects or not effect_type.reportable:
+            searched[effect_id] = effect_type
     probes: list[Probe] = []
     failed = []
-    for kind in kinds.values():
-        required = [effect for effect in kind.requires if effect in kinds]
+    for effect_type in searched.values():
+        # an effect outside the search would never be added: waiting for it would exclude the one that requires it
+        required = [effect for effect in effect_type.requires if effect in searched]
         try:
-            own = list(kind.probes(summary))
+            effect_probes = list(effect_type.probes(summary))
         except FAILURES as failure:
-            failed.append(Candidate(kind.id, None, None, 0.0, 0.0, 0, not_fitted_reason(failure)))
+            failed.append(Candidate(effect_type.id, None, None, 0.0, 0.0, 0, not_fitted_reason(failure)))
             continue
-        for probe in own:
+        for probe in effect_probes:
             _, owner = probe.subject
             if not required or any(summary.has_effect(effect, owner) for effect in required):
                 probes.append(probe)
@@ -203,8 +270,11 @@ def _screening_failures(base: LinearizedFit, screened: Sequence[ScreenedProbe]) 
     return list(failures.values())
 
 
-def _median_inflation(base: LinearizedFit, screened: Iterable[ScreenedProbe]) -> float:
-    """Median inflation over all probes, at least that of white noise through the filter."""
+def _row_inflation(base: LinearizedFit, screened: Iterable[ScreenedProbe]) -> float:
+    """Number of rows that are worth one independent row: the median over all probes.
+
+    It is at least that of white noise after the filter.
+    """
     redundancy = base.experiment.runs[0].signals.low_pass.redundancy
     inflations = [probe.inflation for probe in screened if np.isfinite(probe.inflation) and probe.inflation > 0]
     return float(max(np.median(inflations), redundancy)) if inflations else redundancy
@@ -216,11 +286,22 @@ def _promising(screened: Iterable[ScreenedProbe]) -> list[ScreenedProbe]:
 
 
 def _by_gain(screened: Iterable[ScreenedProbe]) -> list[ScreenedProbe]:
+    """Probes in the order of their gains, the largest first."""
     return sorted(screened, key=lambda candidate: -candidate.gain)
 
 
 def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[ScreenedProbe]) -> Iterator[Probe]:
-    """Probes at nonlinear values about those of the candidates, up to the next ones that were screened."""
+    """Probes of the candidates on a finer grid: of each, with one nonlinear value changed at a time.
+
+    A parameter that names another joint, and one of which a single value was screened, is not changed.
+
+    Parameters
+    ----------
+    candidates
+        The candidates.
+    screened
+        All probes that were screened: their values are the grid.
+    """
     for candidate in candidates:
         probe = candidate.probe
         alike = [other.probe for other in screened if probe_key(other.probe) == probe_key(probe)]
@@ -229,16 +310,22 @@ def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[Scre
             grid = sorted({other.nonlinear_values[name] for other in alike})
             if name in joint_parameters or len(grid) == 1:
                 continue
-            position = grid.index(value)
-            low = grid[max(position - 1, 0)]
-            high = grid[min(position + 1, len(grid) - 1)]
-            spaced = np.geomspace if low > 0 else np.linspace
-            for refined in spaced(low, high, _FINE_VALUES + 2)[1:-1]:
-                yield probe.at({**probe.nonlinear_values, name: float(refined)})
+            for refined in _refined_values(value, grid):
+                yield probe.at({**probe.nonlinear_values, name: refined})
+
+
+def _refined_values(value: float, grid: Sequence[float]) -> list[float]:
+    """Values between the neighbours of a value in an ascending grid; at an end of the grid, it is its own neighbour."""
+    position = grid.index(value)
+    low = grid[max(position - 1, 0)]
+    high = grid[min(position + 1, len(grid) - 1)]
+    spaced = np.geomspace if low > 0 else np.linspace
+    inner = spaced(low, high, _REFINEMENT_POINTS + 2)[1:-1]
+    return [float(x) for x in inner]
 
 
 def _fit_candidate(
-    base: LinearizedFit, candidate: ScreenedProbe, progress: Progress, neighbours: Sequence[int] = ()
+    base: LinearizedFit, candidate: ScreenedProbe, progress: Progress, others: Sequence[int] = ()
 ) -> FittedCandidate:
     """Candidate fitted with the whole model; raises as `fit_trial`, and if there is no such effect.
 
@@ -250,16 +337,16 @@ def _fit_candidate(
         The candidate.
     progress
         Callback for the stage and its progress, from 0 to 1.
-    neighbours
+    others
         Indices of the model's effects whose nonlinear parameters are moved with those of the candidate.
     """
     if candidate.entry is None:
         raise ConfigError("effects", "its parameters are out of range")
     entries = (*base.experiment.config.effects, candidate.entry)
-    moving = [*neighbours, len(entries) - 1]
-    trial = fit_trial(base, entries, moving, progress, _MAX_STEPS if neighbours else 1)
+    moving = [*others, len(entries) - 1]
+    trial = fit_trial(base, entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS if others else 1)
     if _undetermined_parameter(trial):  # it may be determined closer to the optimum
-        trial = fit_trial(base, trial.entries, moving, progress, _MAX_STEPS)
+        trial = fit_trial(base, trial.entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
     return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
 
 
@@ -273,12 +360,12 @@ def _movable_on_joint(base: LinearizedFit, joint: str | None) -> list[int]:
 
 
 def not_fitted_reason(failure: Exception) -> str:
-    """Reason why a candidate that cannot be fitted was rejected."""
+    """Reason why a candidate is rejected that cannot be fitted, as a clause."""
     return f"cannot be fitted together with the rest of the model: {failure_reason(failure)}"
 
 
 def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary) -> str:
-    """Reason why a fitted candidate is no explanation; empty if it may be one."""
+    """Reason why the fitted candidate is rejected, as a clause; empty if it is accepted."""
     fit = candidate.trial.linearized
     if reason := _implausibility(candidate, summary):
         return reason
@@ -287,9 +374,9 @@ def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: Lineari
     if parameter := _undetermined_parameter(candidate.trial):
         return f"its {parameter} is not determined by the data"
     loss = -np.minimum(candidate.gains, 0).sum()
-    if loss > _MAX_LOSS * np.maximum(candidate.gains, 0).sum():
+    if loss > _MAX_LOSS_SHARE * np.maximum(candidate.gains, 0).sum():
         return "reduces the error in some parts of the log and increases it in others"
-    if _worsens_validation(candidate, base):
+    if _worsens_held_out_error(candidate, base):
         return "increases the error on the held-out data"
     if not _is_relevant(fit, base, initial):
         return (
@@ -300,13 +387,13 @@ def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: Lineari
 
 
 def _implausibility(candidate: FittedCandidate, summary: DataSummary) -> str:
-    """Reason why no robot has such an effect, as a clause; empty if one may."""
+    """Reason why the fitted candidate is rejected as one that no robot has, as a clause; empty if it is accepted."""
     fit = candidate.trial.linearized
     entry = candidate.trial.entries[-1]
     values = dict(entry.values)
-    found = fit.find_effect(entry)
-    if found is not None:
-        effect, part = found
+    effect_and_slice = fit.find_effect(entry)
+    if effect_and_slice is not None:
+        effect, part = effect_and_slice
         theta = fit.estimate.theta[part]
         unknown_covariance = np.full((len(theta), len(theta)), np.inf)
         linear = effect.parameters(theta, unknown_covariance)
@@ -314,48 +401,54 @@ def _implausibility(candidate: FittedCandidate, summary: DataSummary) -> str:
     return effect_types()[entry.effect].implausibility(values, entry.joint, summary)
 
 
-def _worsens_validation(candidate: FittedCandidate, base: LinearizedFit) -> bool:
+def _worsens_held_out_error(candidate: FittedCandidate, base: LinearizedFit) -> bool:
     """True if an effect increases the error on held-out data of the joints it acts on; False without such data."""
     equation = candidate.trial.linearized.experiment.equation
     joint = candidate.probe.joint
-    is_reached = [joint is None or name == joint for name in equation.joints]
+    is_acted_on = [joint is None or name == joint for name in equation.joints]
     variance = np.square(base.noise)
     with_effect = held_out_mean_squares(candidate.trial.linearized, equation) / variance
     without = held_out_mean_squares(base, equation) / variance
     # False without held-out data, where both are NaN
-    return bool(with_effect[is_reached].sum() > _MAX_VALIDATION_RATIO * without[is_reached].sum())
+    return bool(with_effect[is_acted_on].sum() > _MAX_HELD_OUT_RATIO * without[is_acted_on].sum())
 
 
 def _undetermined_parameter(trial: TrialFit) -> str:
-    """First nonlinear parameter of the newest effect with too large an error or at an end of its range; empty if none.
+    """First nonlinear parameter of the newest effect that the data do not determine; empty if there is none.
 
-    Optional and open-ended parameters need not be determined.
+    Its standard error is too large, or its value is at an end of its range. Optional and open-ended parameters need not
+    be determined, and those that were not moved cannot be judged.
     """
     last = len(trial.entries) - 1
     entry = trial.entries[last]
     for parameter in effect_types()[entry.effect].nonlinear_parameters:
-        error = trial.errors.get((last, parameter.name))
+        key = (last, parameter.name)
         value = parameter_value(entry, parameter.name)
-        if error is None or not isinstance(value, float):
+        need_not_be_determined = parameter.open_ended or parameter.optional_maximum is not None
+        if need_not_be_determined or key not in trial.errors or not isinstance(value, float):
             continue
-        if parameter.open_ended or parameter.optional_maximum is not None:
-            continue
-        max_error = np.inf
-        if parameter.max_standard_error is not None:
-            max_error = parameter.max_standard_error
-        elif parameter.positive:
-            max_error = value / MIN_PARAMETER_SIGNIFICANCE
-        low, high = trial.ranges.get((last, parameter.name), (-np.inf, np.inf))
-        is_inside = low * _RANGE_EDGE < value < high / _RANGE_EDGE
-        if not (error < max_error and is_inside):
+        is_precise = trial.errors[key] < _max_standard_error(parameter, value)
+        low, high = trial.ranges.get(key, (-np.inf, np.inf))  # of these, only positive ones have one
+        is_inside = low * _RANGE_EDGE_RATIO < value < high / _RANGE_EDGE_RATIO
+        if not (is_precise and is_inside):
             return parameter.name
     return ""
 
 
-def _is_within_bounds(fit: LinearizedFit, base: LinearizedFit) -> bool:
-    """True if, fitted as a whole, the new coefficients are within their bounds, and not all at the lower one.
+def _max_standard_error(parameter: NonlinearParameter, value: float) -> float:
+    """Standard error from which a value of a nonlinear parameter is undetermined; infinite if any finite one passes."""
+    if parameter.max_standard_error is not None:
+        return parameter.max_standard_error
+    if parameter.positive:
+        return value / MIN_PARAMETER_SIGNIFICANCE
+    return np.inf
 
-    One with every coefficient at its lower bound is not there at all.
+
+def _is_within_bounds(fit: LinearizedFit, base: LinearizedFit) -> bool:
+    """True if every new coefficient is below its upper bound, and at least one is above its lower bound.
+
+    New are those that the base does not have; True if there are none. Some may be at their lower bound, as a part of an
+    effect that is absent; if all are, the effect itself is absent.
     """
     base_keys = {c.key for c in base.experiment.equation.coefficients}
     new = []
@@ -364,16 +457,18 @@ def _is_within_bounds(fit: LinearizedFit, base: LinearizedFit) -> bool:
             new.append((c, value))
     if not new:
         return True
-    is_present = any(value > c.lower + _AT_BOUND for c, value in new)
+    is_present = any(value > c.lower + _BOUND_TOLERANCE for c, value in new)
     return is_present and all(value < c.upper for c, value in new)
 
 
 def _is_relevant(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit) -> bool:
-    """True if on some joint an effect explains more than what the effects found before leave by their uncertainty.
+    """True if the squared residual of some joint falls by more than two shares of what the joint has.
 
-    A strong effect whose size is known to a hundredth leaves a hundredth of itself, which is no effect of its own.
+    One is a share of the squared residual in the initial model: a strong effect whose size is known to a hundredth
+    leaves a hundredth of itself, which is no effect of its own. The other is a share of the squared torque.
     """
+    # both in units of the base's noise: a fit that uses or rescales the measured torque has another noise of its own
     saved = (base.sse - fit.sse).sum(axis=0) * np.square(base.noise)
     uncertain = _MIN_SAVED_SHARE * initial.sse.sum(axis=0) * np.square(initial.noise)
-    negligible = base.row_counts.sum(axis=0) * np.square(_NEGLIGIBLE * base.rms_torque)
+    negligible = base.row_counts.sum(axis=0) * np.square(_NEGLIGIBLE_SHARE * base.rms_torque)
     return bool((saved > np.maximum(uncertain, negligible)).any())

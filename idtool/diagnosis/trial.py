@@ -32,16 +32,17 @@ from idtool.robot.inertia import PI_SIZE
 ParameterKey = tuple[int, str]  # place in the configuration's effects, and name of the parameter
 Range = tuple[float, float]
 
-FAILURES = (IdtoolError, ArithmeticError, ValueError, RuntimeError)  # of a model that cannot be fitted
+FAILURES = (IdtoolError, ArithmeticError, ValueError, RuntimeError)  # raised where a model cannot be fitted
 
-_DIFFERENCE = 1e-3  # of a value: step of a finite difference
-_SMALL_VALUE = 0.1  # below it, a finite difference is that of this value
-_MAX_STEP = 0.7  # of a value
+_RELATIVE_DIFFERENCE = 1e-3  # of a value: step of a finite difference
+_SMALL_VALUE = 0.1  # a smaller value counts as this in a finite difference, and may change its sign in a step
+_MAX_RELATIVE_STEP = 0.7  # of a value, in one Gauss-Newton step
+_MIN_STEP_REFERENCE = 1e-3  # a smaller value counts as this in the limit of a step
 _STEP_LENGTHS = (1.0, 0.3)  # of a Gauss-Newton step, tried in turn
-_MIN_GAIN = 1e-4  # of the squared residual, that makes another step worthwhile
-_RANGE_MARGIN = 2.0  # times the values that the search tries
-_GRID = (0.8, 0.86, 0.93, 1.0, 1.07, 1.15, 1.24)  # of a value, tried in a grid search
-_NEAR_BEST = 0.9  # of the largest gain: a value as good as the best
+_MIN_STEP_GAIN = 1e-4  # of the squared residual, that makes another step worthwhile
+_RANGE_MARGIN = 2.0  # ratio by which a range exceeds the values that the search tries, at both ends
+_GRID_RATIOS = (0.8, 0.86, 0.93, 1.0, 1.07, 1.15, 1.24)  # to the present value, tried in a grid search
+_NEAR_BEST_RATIO = 0.9  # to the largest gain, from which a value is as good as the best
 _UNBOUNDED: Range = (-np.inf, np.inf)
 _FIXED_INERTIA = "--inertia fixed"
 
@@ -64,9 +65,9 @@ class TrialFit:
     linearized
         The fit.
     errors
-        Standard errors of the nonlinear parameters.
+        Standard errors of the nonlinear parameters that were moved.
     ranges
-        Ranges within which they were moved.
+        Ranges within which they were kept; parameters without one may have any value.
     """
 
     linearized: LinearizedFit
@@ -105,13 +106,16 @@ def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: 
 def with_fixed_inertia(experiment: Experiment) -> Experiment:
     """Experiment with the bodies' parameters known to be those of the URDF."""
     coefficient_count = len(experiment.equation.coefficients)
-    body_count = PI_SIZE * len(experiment.model.bodies)
+    body_parameter_count = PI_SIZE * len(experiment.model.bodies)
     prior = experiment.equation.prior
     equalities = experiment.equalities
     identity = np.eye(coefficient_count)
-    inertia = [Constraint(_FIXED_INERTIA, identity[i], float(prior[i])) for i in equalities.free if i < body_count]
+    inertia = []
+    for i in equalities.free:
+        if i < body_parameter_count:
+            inertia.append(Constraint(_FIXED_INERTIA, identity[i], float(prior[i])))
     # constraints on the bodies alone would contradict the fixed values, or repeat them
-    others = [constraint for constraint in equalities.constraints if constraint.row[body_count:].any()]
+    others = [constraint for constraint in equalities.constraints if constraint.row[body_parameter_count:].any()]
     no_prior = Regularization(kind="none", weight=0)
     config = experiment.config.model_copy(update={"constraints": "none", "regularization": no_prior})
     return replace(experiment, config=config, equalities=replace(equalities, constraints=(*others, *inertia)))
@@ -127,14 +131,17 @@ def fit_trial(
 ) -> TrialFit:
     """Fit a model with other effects, on the rows and in the units of another fit.
 
+    Parameters on which the columns depend smoothly take Gauss-Newton steps, all together. Before that, those with which
+    the columns jump are searched for on a grid, one after the other.
+
     Parameters
     ----------
     before
-        The fit that it is compared with.
+        The fit that the new one is compared with.
     entries
         All effects of the model.
     moving
-        Indices of those whose nonlinear parameters are moved.
+        Indices of the effects whose nonlinear parameters are moved; the others keep their values.
     progress
         Callback for the stage and its progress, from 0 to 1.
     max_steps
@@ -163,7 +170,7 @@ def fit_trial(
         if better is None:
             break
         gain = current.total_cv_squared_error - better.total_cv_squared_error
-        has_converged = not gain > _MIN_GAIN * current.total_cv_squared_error
+        has_converged = not gain > _MIN_STEP_GAIN * current.total_cv_squared_error
         current = better
         if has_converged:
             break
@@ -173,7 +180,10 @@ def fit_trial(
 def _parameter_ranges(
     before: LinearizedFit, entries: Sequence[EffectEntry], moving: Sequence[int]
 ) -> dict[ParameterKey, Range]:
-    """Ranges of positive nonlinear parameters, about all values that the search tries, and of optional ones."""
+    """Ranges of the nonlinear parameters that have one.
+
+    That of a positive parameter is about all values that the search tries, that of an optional one begins at 0.
+    """
     summary = summarize_data(before)
     ranges: dict[ParameterKey, Range] = {}
     for i in moving:
@@ -182,7 +192,8 @@ def _parameter_ranges(
         if not issubclass(kind, JointEffect) or joint is None:
             continue
         trials = list(kind.trial_values(summary, summary.model.names.index(joint)))
-        for name in trials[0] if trials else ():
+        names = trials[0] if trials else ()
+        for name in names:
             if _is_positive(kind.id, name):
                 values = [trial[name] for trial in trials]
                 ranges[i, name] = (min(values) / _RANGE_MARGIN, max(values) * _RANGE_MARGIN)
@@ -212,7 +223,7 @@ def parameter_value(entry: EffectEntry, name: str) -> object:
     return value[int(index)] if index and value is not None else value
 
 
-def _number(entry: EffectEntry, name: str) -> float:
+def _numeric_value(entry: EffectEntry, name: str) -> float:
     """Value of a parameter known to be a number."""
     value = parameter_value(entry, name)
     if not isinstance(value, int | float):
@@ -223,16 +234,16 @@ def _number(entry: EffectEntry, name: str) -> float:
 def _with_value(entry: EffectEntry, name: str, value: float) -> EffectEntry:
     """Entry with another value of a parameter; ``com.0`` as in `parameter_value`."""
     name, _, index = name.partition(".")
-    given: object = value
+    changed: object = value
     if index:
-        given = [value if k == int(index) else x for k, x in enumerate(entry.parameters[name])]
-    return entry.model_copy(update={"parameters": {**entry.parameters, name: given}})
+        changed = [value if k == int(index) else x for k, x in enumerate(entry.parameters[name])]
+    return entry.model_copy(update={"parameters": {**entry.parameters, name: changed}})
 
 
 def _gauss_newton_step(
     current: LinearizedFit, keys: Sequence[ParameterKey], ranges: Mapping[ParameterKey, Range], progress: Progress
 ) -> tuple[LinearizedFit | None, dict[ParameterKey, float]]:
-    """Fit after a step of all parameters together, None if no step helps, and the parameters' standard errors."""
+    """Fit after a step of all parameters together, and their standard errors before it; no fit if no step helps."""
     entries = current.experiment.config.effects
     probe = _parameter_probe(current, keys, ranges)
     (screened,) = screen_probes(current, [probe], progress, "optimizing nonlinear parameters")
@@ -245,7 +256,8 @@ def _gauss_newton_step(
             i, name = key
             moved = _moved_value(entries[i], name, step, ranges.get(key, _UNBOUNDED))
             changed[i] = _with_value(changed[i], name, moved)
-        for i in {i for i, _ in keys}:
+        moved_effects = {i for i, _ in keys}
+        for i in moved_effects:
             changed[i] = effect_types()[changed[i].effect].feasible_entry(changed[i], current.experiment.model)
         try:
             candidate = linearize_fit(with_effects(current.experiment, changed, current.theta), progress, current)
@@ -257,11 +269,15 @@ def _gauss_newton_step(
 
 
 def _moved_value(entry: EffectEntry, name: str, step: float, bounds: Range) -> float:
-    """Value of a parameter after a step, which is limited to a share of the value unless that may cross zero."""
-    value = _number(entry, name)
-    may_cross_zero = abs(value) <= _SMALL_VALUE and not (value > 0 and _is_positive(entry.effect, name))
-    if not may_cross_zero:
-        longest = _MAX_STEP * max(abs(value), _DIFFERENCE)
+    """Value of a parameter after a step within its bounds.
+
+    The step is limited to a share of the value, except for a small value that may change its sign.
+    """
+    value = _numeric_value(entry, name)
+    must_stay_positive = value > 0 and _is_positive(entry.effect, name)
+    may_change_sign = abs(value) <= _SMALL_VALUE and not must_stay_positive
+    if not may_change_sign:
+        longest = _MAX_RELATIVE_STEP * max(abs(value), _MIN_STEP_REFERENCE)
         step = float(np.clip(step, -longest, longest))
     return float(np.clip(value + step, *bounds))
 
@@ -271,7 +287,8 @@ def _grid_search(
 ) -> tuple[LinearizedFit, float]:
     """Fit with the value near the present one that explains most, and the value's standard error.
 
-    That is half the range of values that explain nearly as much, or half a step of the grid.
+    Each value is a probe about the model without the effect. The standard error is half the range of values that
+    explain nearly as much as the best, at least half a step of the grid.
 
     Parameters
     ----------
@@ -291,22 +308,28 @@ def _grid_search(
     without = linearize_fit(reduced, progress, current, own_rows=True)
     summary = summarize_data(without)
     joint = current.experiment.equation.joints.index(str(entry.joint))
-    nonlinear_values = {}
-    for parameter in kind.nonlinear_parameters:
-        value = parameter_value(entry, parameter.name)
-        nonlinear_values[parameter.name] = 0.0 if value is None else _number(entry, parameter.name)
-    values = [ratio * nonlinear_values[name] for ratio in _GRID]
+    nonlinear_values = _nonlinear_values(entry, kind)
+    values = [ratio * nonlinear_values[name] for ratio in _GRID_RATIOS]
     probes = [kind.probe(summary, joint, {**nonlinear_values, name: value}) for value in values]
     gains = [screened.gain for screened in screen_probes(without, probes, progress, "trying parameter values")]
 
     best = values[int(np.argmax(gains))]
-    limit = max(gains) - (1 - _NEAR_BEST) * abs(max(gains))
-    near_best = [value for value, gain in zip(values, gains, strict=True) if gain >= limit]
-    grid_step = best * (_GRID[1] / _GRID[0] - 1)
+    min_gain = max(gains) - (1 - _NEAR_BEST_RATIO) * abs(max(gains))
+    near_best = [value for value, gain in zip(values, gains, strict=True) if gain >= min_gain]
+    grid_step = best * (_GRID_RATIOS[1] / _GRID_RATIOS[0] - 1)
     error = max(max(near_best) - min(near_best), grid_step) / 2
     entries[i] = _with_value(entry, name, best)
     changed = with_effects(current.experiment, entries, current.theta)
     return linearize_fit(changed, progress, current, own_rows=kind.is_undefined_where_it_acts), error
+
+
+def _nonlinear_values(entry: EffectEntry, kind: type[JointEffect]) -> dict[str, float]:
+    """Values of all nonlinear parameters of an entry; optional ones that were left out are 0."""
+    values = {}
+    for parameter in kind.nonlinear_parameters:
+        value = parameter_value(entry, parameter.name)
+        values[parameter.name] = 0.0 if value is None else _numeric_value(entry, parameter.name)
+    return values
 
 
 def _is_positive(effect: str, name: str) -> bool:
@@ -318,28 +341,31 @@ def _is_positive(effect: str, name: str) -> bool:
 def _parameter_probe(
     current: LinearizedFit, keys: Sequence[ParameterKey], ranges: Mapping[ParameterKey, Range]
 ) -> Probe:
-    """Probe of the change of the residual with nonlinear parameters, by finite differences within their ranges."""
+    """Probe whose columns are the derivatives of the predicted torque by nonlinear parameters.
+
+    They are finite differences, backward where a forward one would leave the parameter's range.
+    """
     differences = []
     equations = []
     for key in keys:
         i, name = key
         entries = list(current.experiment.config.effects)
-        value = _number(entries[i], name)
-        difference = _DIFFERENCE * max(abs(value), _SMALL_VALUE)
+        value = _numeric_value(entries[i], name)
+        difference = _RELATIVE_DIFFERENCE * max(abs(value), _SMALL_VALUE)
         _, highest = ranges.get(key, _UNBOUNDED)
         if value + difference >= highest:
             difference = -difference
         differences.append(difference)
         entries[i] = _with_value(entries[i], name, value + difference)
-        # At the same operating point: a difference must be the parameter's alone.
+        # without theta, which would move the operating point: the difference must be the parameter's alone
         equations.append(with_effects(current.experiment, entries).equation)
 
     def columns(motion: Motion, model: Linearization) -> Mapping[int, Array]:
-        changes = []
+        derivatives = []
         for equation, difference in zip(equations, differences, strict=True):
             changed = LinearizedModel(equation, current.theta, model.measured_motion)
-            changes.append((model.residual - changed.residual) / difference)
-        return {j: np.stack([change[j] for change in changes]) for j in range(len(motion.q))}
+            derivatives.append((model.residual - changed.residual) / difference)
+        return {j: np.stack([derivative[j] for derivative in derivatives]) for j in range(len(motion.q))}
 
     # a probe of no effect, so that it has no configuration entry
     return Probe("", None, None, columns, len(keys), lambda c, information: None)
