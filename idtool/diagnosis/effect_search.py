@@ -9,6 +9,8 @@ import time
 from collections.abc import Sequence
 from itertools import combinations
 
+import numpy as np
+
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.bursts import find_bursts
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
@@ -402,18 +404,21 @@ class EffectSearch:
         return gain > -significant if is_simpler else gain > significant
 
     def _remove_unproven(self) -> None:
-        """Remove effects that explain little beside the others, unless they bring their joints to the noise floor."""
-        while len(self.reported) > 1:
-            weakest = find_unproven(self.current, self.model.without_each(), self.progress)
-            if weakest is None:
+        """Remove effects for which the evidence is not enough, one after the other."""
+        while self.reported:
+            entries = [effect.entry for effect in self.reported]
+            inflation = float(np.median([effect.selection.inflation for effect in self.reported]))
+            without = self.model.without_each()
+            unproven = find_unproven(self.current, entries, without, inflation, self.progress)
+            if unproven is None:
                 return
-            effect = self.reported[weakest]
+            effect = self.reported[unproven.index]
             before = self.model.state()
             self.model.drop([effect])
             if self.model.try_refit():
                 self.model.restore(before)
                 return
-            self.removed.append(unproven_sentence(effect.chosen))
+            self.removed.append(unproven_sentence(effect.chosen, unproven.reason))
             self._keep_as_complete()
 
     def _prune(self) -> None:

@@ -1,33 +1,65 @@
-"""Effects without enough evidence: small beside another one, and their joints stay above the noise floor with them.
+"""Effects without enough evidence: their joints stay above the noise floor with them, and more speaks against them.
 
-A large effect whose model is only nearly right, such as that of an elastic joint, leaves a residual in proportion to
-itself. Some other effect always imitates a part of that, while one that is truly there explains all that is left.
+- They are small beside another one. A large effect whose model is only nearly right, such as that of an elastic joint,
+  leaves a residual in proportion to itself. Some other effect always imitates a part of that, while one that is truly
+  there explains all that is left.
+- Their size differs between parts of the data. What has no name is imitated by the effect that resembles it most.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.diagnosis.confirmation import contradiction, estimate_on_parts
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.noise_floor import estimate_noise_floor
 from idtool.estimation.dataset.experiment import Progress
+from idtool.robot.config import EffectEntry
 
 _MIN_SHARE_OF_LARGEST = 0.1  # of what the largest effect explains, that needs no further evidence
 _MIN_EXPLAINED = 0.7  # of its joints' residual above the noise floor, that a smaller effect must explain
+_MIN_EXPLAINED_IF_VARYING = 0.5  # likewise, by an effect whose size differs between parts of the data
 
 
-def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], progress: Progress) -> int | None:
-    """Index of the effect with the least evidence; None if there is enough for all.
+@dataclass(frozen=True)
+class UnprovenEffect:
+    """An effect without enough evidence.
+
+    Attributes
+    ----------
+    index
+        Its index among the effects that are to be judged.
+    reason
+        What speaks against it, a clause.
+    """
+
+    index: int
+    reason: str
+
+
+def find_unproven(
+    current: LinearizedFit,
+    entries: Sequence[EffectEntry],
+    without: Sequence[LinearizedFit],
+    inflation: float,
+    progress: Progress,
+) -> UnprovenEffect | None:
+    """The effect with the least evidence; None if there is enough for all.
 
     Parameters
     ----------
     current
         The model with all effects.
+    entries
+        Entries of the effects to judge, as in the model.
     without
-        The models without each of the effects, on the rows by which the effect is judged.
+        The models without each of them, on the rows by which the effect is judged.
+    inflation
+        Number of rows that are worth one independent one.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
@@ -41,12 +73,15 @@ def find_unproven(current: LinearizedFit, without: Sequence[LinearizedFit], prog
         above_floor.append(np.maximum(remaining - np.square(floor.noise), 0.0))
     totals = np.sum(explained, axis=1)
 
-    unproven = []
-    for k in range(len(without)):
-        is_small = totals[k] < _MIN_SHARE_OF_LARGEST * totals.max()
-        if is_small and _explained_share(explained[k], above_floor[k]) < _MIN_EXPLAINED:
-            unproven.append(k)
-    return min(unproven, key=lambda k: float(totals[k])) if unproven else None
+    for k in np.argsort(totals).tolist():
+        share = _explained_share(explained[k], above_floor[k])
+        if totals[k] < _MIN_SHARE_OF_LARGEST * totals.max() and share < _MIN_EXPLAINED:
+            return UnprovenEffect(k, "it explains less than a tenth of what another effect does")
+        if share < _MIN_EXPLAINED_IF_VARYING:
+            (sizes,) = estimate_on_parts(current, [entries[k]], inflation, progress)
+            if difference := contradiction(sizes):
+                return UnprovenEffect(k, f"it is not the same everywhere in the data ({difference})")
+    return None
 
 
 def _explained_share(explained: Array, above_floor: Array) -> float:

@@ -96,11 +96,11 @@ def replacement_sentence(replaced: Candidate, by: Candidate) -> str:
     )
 
 
-def unproven_sentence(removed: Candidate) -> str:
-    """Reason why an effect was removed for lack of evidence."""
+def unproven_sentence(removed: Candidate, reason: str) -> str:
+    """Reason why an effect was removed for lack of evidence; ``reason`` is what speaks against it, a clause."""
     return (
-        f"{removed.effect} on {removed.target} was removed again: it explains less than a tenth of what another effect "
-        "does, and the residual of its joints remains above the noise floor with it"
+        f"{removed.effect} on {removed.target} was removed again: {reason}, and the residual of its joints remains "
+        "above the noise floor with it"
     )
 
 

@@ -87,7 +87,29 @@ def test_a_small_effect_must_bring_its_joint_to_the_noise_floor(
     experiment = experiment_of(tmp_path, hidden)
     current = fitted(experiment, SPRING, DRAG)
     without = [linearize_fit(with_effects(experiment, [one]), silent, current) for one in (DRAG, SPRING)]
-    assert find_unproven(current, without, silent) == unproven
+    found = find_unproven(current, [SPRING, DRAG], without, 1.0, silent)
+    assert (found.index if found else None) == unproven
+
+
+@pytest.mark.parametrize(("later", "unproven"), [(1.0, False), (0.3, True)])
+def test_an_effect_that_explains_little_must_be_the_same_everywhere(
+    tmp_path: Path, later: float, unproven: bool
+) -> None:
+    """A spring that becomes softer with time, on a joint with a vibration that no effect explains."""
+
+    def hidden(t: Any, q: Any, v: Any, tau: Any) -> Any:
+        softening = np.where(t < 0.35 * t[-1], 1.0, later)
+        torque = torque_on_joint(0, lambda t, q, v, tau: 3.0 * softening * (q - 0.4) + 0.25 * np.sin(31 * t))
+        return torque(t, q, v, tau)
+
+    experiment = experiment_of(tmp_path, hidden)
+    current = fitted(experiment, SPRING)
+    entries = list(current.experiment.config.effects)
+    without = [linearize_fit(with_effects(experiment, []), silent, current)]
+    found = find_unproven(current, entries, without, 5.0, silent)
+    assert (found is not None) == unproven
+    if found is not None:
+        assert found.reason.startswith("it is not the same everywhere in the data (its stiffness is ")
 
 
 def test_held_out_data_are_less_likely_with_what_is_not_there(tmp_path: Path) -> None:
