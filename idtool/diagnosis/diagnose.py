@@ -122,6 +122,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     maps_after = stages.run("the residual map", partial(_maps, last, progress), no_maps)
     delay_notices = delay.notices if delay else ()
     skipped = [*before_search.notices, *stages.notices]
+    short_data = _short_data_notices(remaining)
     return Diagnosis(
         first=first,
         last=last,
@@ -137,7 +138,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         stopped=search.stopped,
         maps_before=maps_before,
         maps_after=maps_after,
-        notices=unique([*delay_notices, *_doubt_notices(steps), *_search_notices(search), *skipped]),
+        notices=unique([*delay_notices, *_doubt_notices(steps), *_search_notices(search), *skipped, *short_data]),
         seconds=time.perf_counter() - started,
     )
 
@@ -177,9 +178,8 @@ def _remaining_residual(search: EffectSearch, after: ErrorSummary, stages: Stage
     evaluate = partial(evaluate_errors, current.experiment, current.estimate.theta, False, search.progress)
     errors = stages.run("the error of all effects together", evaluate, after)
     estimate_floor = partial(structured_noise_floor, current, structure, search.progress)
-    unknown_floor = residual_as_floor(errors)
-    floor = stages.run("the noise floor", estimate_floor, unknown_floor)
-    is_known = structure is not without_structure and floor is not unknown_floor
+    floor = stages.run("the noise floor", estimate_floor, residual_as_floor(errors))
+    is_known = structure is not without_structure and floor.is_estimated
     return RemainingResidual(errors, structure, floor, is_known)
 
 
@@ -347,6 +347,13 @@ def _doubt_notices(steps: Sequence[DiagnosisStep]) -> Iterator[Notice]:
     for step in steps:
         if step.doubt:
             yield Notice("effect_doubtful", "warning", None, step.doubt)
+
+
+def _short_data_notices(remaining: RemainingResidual) -> Iterator[Notice]:
+    """Notice about data in which the noise cannot be estimated."""
+    if not remaining.floor.is_estimated:
+        message = "the noise floor is not known: the joints move for too short a time to estimate the noise"
+        yield Notice("noise_floor_unknown", "warning", None, message, "log for longer; 30 s are usually enough")
 
 
 def _search_notices(search: EffectSearch) -> Iterator[Notice]:

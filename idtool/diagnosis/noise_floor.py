@@ -47,12 +47,15 @@ class NoiseFloor:
         Noise, and residual of the model, while the joint moves, shape (nv,) [N·m or N].
     slow_power_ratio
         Power of the residual at the motion's frequencies over that of the noise there, shape (nv,).
+    is_estimated
+        False if the data do not suffice to estimate the noise of any joint: all of the residual counts as noise.
     """
 
     rms: Array
     noise: Array
     residual: Array
     slow_power_ratio: Array
+    is_estimated: bool = True
 
     def without_structure(self, shares: Array) -> NoiseFloor:
         """Floor if shares of the residual's power, shape (nv,), are structure, and so not noise."""
@@ -94,15 +97,63 @@ def estimate_noise_floor(
     reversal_margin
         Least distance in time from reversals at which a joint counts as moving [s].
     """
-    held_out = experiment.has_held_out
+    judged = _residual_samples(experiment, theta, experiment.has_held_out, reversal_margin, progress)
+    periodograms = judged.periodograms
+    if experiment.has_held_out and not any(map(_suffice, periodograms)):
+        # noise is the same in the training data
+        training = _residual_samples(experiment, theta, False, reversal_margin, progress)
+        periodograms = [a + b for a, b in zip(judged.periodograms, training.periodograms, strict=True)]
+
     low_pass = experiment.runs[0].signals.low_pass
     dt = experiment.runs[0].signals.log.dt
+    f = np.fft.rfftfreq(_WINDOW, dt * low_pass.stride).astype(np.float64)
+    passed_power = _passed_power(low_pass.kernel, f, dt)
+    residual = np.sqrt(judged.moving_squares / np.maximum(judged.moving_count, 1))
+    noise = residual.copy()
+    slow_power_ratio = np.ones(len(residual))
+    for j, powers in enumerate(periodograms):
+        if _suffice(powers):
+            rms, slow_power_ratio[j] = _noise_in_band(f, np.array(powers), passed_power, experiment.band_hz)
+            noise[j] = min(rms, residual[j])
+
+    mean_squares = []
+    for joint_noise, moving_count, at_rest in zip(noise, judged.moving_count, judged.resting, strict=True):
+        mean_squares.append(_mean_square(float(joint_noise), float(moving_count), at_rest))
+    is_estimated = any(map(_suffice, periodograms))
+    return NoiseFloor(np.sqrt(mean_squares), noise, residual, slow_power_ratio, is_estimated)
+
+
+@dataclass(frozen=True)
+class _ResidualSamples:
+    """Residual of a model on the held-out or the training data, by joint.
+
+    Attributes
+    ----------
+    moving_squares, moving_count
+        Sum of squares and number of the samples in which the joint moves, shape (nv,).
+    resting
+        Residual, and largest unknowable torque, of the other samples, batch after batch.
+    periodograms
+        Periodograms of the windows in which it moves.
+    """
+
+    moving_squares: Array
+    moving_count: Array
+    resting: list[list[tuple[Array, Array]]]
+    periodograms: list[list[Array]]
+
+
+def _residual_samples(
+    experiment: Experiment, theta: Array, held_out: bool, reversal_margin: float, progress: Progress
+) -> _ResidualSamples:
+    """Residual of a model on the held-out or the training data; the arguments are those of `estimate_noise_floor`."""
     joint_count = len(experiment.equation.joints)
     moving_squares = np.zeros(joint_count)
     moving_count = np.zeros(joint_count)
-    resting: list[list[tuple[Array, Array]]] = [[] for _ in range(joint_count)]  # by joint and batch
-    periodograms: list[list[Array]] = [[] for _ in range(joint_count)]  # by joint and window
+    resting: list[list[tuple[Array, Array]]] = [[] for _ in range(joint_count)]
+    periodograms: list[list[Array]] = [[] for _ in range(joint_count)]
     for run in experiment.runs:
+        dt = run.signals.log.dt * run.signals.low_pass.stride
         parts = run.parts(held_out)
         for batch in tracked(experiment.batches(run, held_out), parts, progress, "estimating the noise floor"):
             model = LinearizedModel(experiment.equation, theta, batch.motion)
@@ -113,22 +164,13 @@ def estimate_noise_floor(
             unknowable = _unknowable_torque(model, batch)
             for j in range(joint_count):
                 resting[j].append((residual[j, ~moving[j]], unknowable[j, ~moving[j]]))
-                periodograms[j] += _periodograms(residual[j], moving[j], dt * low_pass.stride)
+                periodograms[j] += _periodograms(residual[j], moving[j], dt)
+    return _ResidualSamples(moving_squares, moving_count, resting, periodograms)
 
-    rms_residual = np.sqrt(moving_squares / np.maximum(moving_count, 1))
-    f = np.fft.rfftfreq(_WINDOW, dt * low_pass.stride).astype(np.float64)
-    passed_power = _passed_power(low_pass.kernel, f, dt)
-    noise = rms_residual.copy()
-    slow_power_ratio = np.ones(joint_count)
-    for j, powers in enumerate(periodograms):
-        if len(powers) >= _MIN_WINDOWS:
-            rms, slow_power_ratio[j] = _noise_in_band(f, np.array(powers), passed_power, experiment.band_hz)
-            noise[j] = min(rms, rms_residual[j])
 
-    mean_squares = []
-    for joint_noise, joint_moving_count, at_rest in zip(noise, moving_count, resting, strict=True):
-        mean_squares.append(_mean_square(float(joint_noise), float(joint_moving_count), at_rest))
-    return NoiseFloor(np.sqrt(mean_squares), noise, rms_residual, slow_power_ratio)
+def _suffice(periodograms: Sequence[Array]) -> bool:
+    """True if there are enough periodograms of a joint to estimate its noise."""
+    return len(periodograms) >= _MIN_WINDOWS
 
 
 def _mean_square(noise: float, moving_count: float, resting: Sequence[tuple[Array, Array]]) -> float:

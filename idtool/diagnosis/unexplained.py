@@ -145,7 +145,7 @@ def structured_noise_floor(current: LinearizedFit, structure: Sequence[Candidate
 def residual_as_floor(errors: ErrorSummary) -> NoiseFloor:
     """Noise floor that is not known: all of the residual may be noise."""
     rms = _by_joint(errors.torque)
-    return NoiseFloor(rms, rms, rms, np.ones(len(rms)))
+    return NoiseFloor(rms, rms, rms, np.ones(len(rms)), is_estimated=False)
 
 
 def _joint_names(errors: Mapping[str, float]) -> list[str]:

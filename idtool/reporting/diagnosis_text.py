@@ -75,10 +75,9 @@ def summary(report: DiagnosisReport) -> str:
         errors = f"The {which} torque error is {first:.3g} {unit} RMS, and {floor}."
         if report.stopped:
             return f"The diagnosis is incomplete: {_outcome(report.stopped)} before an effect was found. {errors}"
-        cause = "but the difference is too small to be attributed to an effect"
-        if unknown:
-            cause = f"and {_no_effect(report)} explains the difference on {unknown}"
-        return f"Model and data disagree, {cause}. {errors}"
+        if not unknown:  # and the noise floor is not known
+            return f"It is not known whether model and data agree. {errors}"
+        return f"Model and data disagree, and {_no_effect(report)} explains the difference on {unknown}. {errors}"
     share = report.gap_closed["overall"]
     closed = "" if share is None else f", so {100 * max(share, 0.0):.0f} % of the gap is closed"
     rest = ""

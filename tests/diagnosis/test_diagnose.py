@@ -6,6 +6,7 @@ A sample; `make scoreboard` has all effects, robots and sizes.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,17 @@ def test_nothing_is_found_where_nothing_is_hidden(folder: Path) -> None:
     assert named(report) == []
     assert report["verdict"] == "no_disagreement"
     assert report["after"] == report["before"]
+
+
+def test_of_a_log_of_two_seconds_agreement_is_not_reported(folder: Path) -> None:
+    files = logged(folder)
+    lines = files.log.read_text().splitlines()[: 2 * 1000 + 1]
+    short = folder / "short.csv"
+    short.write_text("\n".join(lines) + "\n")
+    report = diagnosed(replace(files, logs=(short,)), folder / "short", "--no-simulation")
+    assert (report["verdict"], report["noise_floor"]["overall"]) == ("unexplained", None)
+    assert report["summary"].startswith("It is not known whether model and data agree.")
+    assert "noise_floor_unknown" in [notice["code"] for notice in report["notices"]]
 
 
 def test_a_payload_is_weighed_where_the_inertia_is_true(folder: Path) -> None:

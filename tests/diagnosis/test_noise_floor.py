@@ -11,11 +11,14 @@ from arms import INERTIA, PENDULUM, WEIGHT
 from numpy.typing import NDArray
 from prescribed_motions import Log, prescribed_motion, silent, sines, with_torque
 from scipy.integrate import cumulative_trapezoid
-from spatial_arm import RATE, experiment, in_band, written
+from spatial_arm import RATE, RIGID, experiment, in_band, written
 
 from idtool.diagnosis.noise_floor import NoiseFloor, estimate_noise_floor
 from idtool.diagnosis.records import ErrorSummary
 from idtool.diagnosis.unexplained import RemainingResidual
+from idtool.estimation.dataset.experiment import prepare
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
 
@@ -116,6 +119,17 @@ def test_a_short_log_has_its_residual_for_a_floor(tmp_path: Path, log: Log) -> N
     np.testing.assert_array_equal(found.rms, found.residual)
     np.testing.assert_array_equal(found.noise, found.residual)
     np.testing.assert_array_equal(found.slow_power_ratio, 1)
+    assert not found.is_estimated
+
+
+def test_where_the_held_out_data_are_short_the_noise_is_that_of_all_data(tmp_path: Path, log: Log) -> None:
+    own = noise(0.1, 0.0)
+    urdf, csv = written(tmp_path, with_torque(log, 0, own), HINGE, text=PENDULUM)
+    prepared = prepare(read_robot(urdf), parse_config(RIGID, ""), [csv], [], holdout=1.5 / SECONDS)
+    found = estimate_noise_floor(prepared, prepared.equation.prior, silent)
+    assert found.is_estimated
+    assert found.noise[0] == pytest.approx(rms(own), rel=0.15)
+    assert found.residual[0] == pytest.approx(rms(own), rel=0.25)
 
 
 def test_noise_that_falls_with_the_frequency_counts_up_to_a_limit() -> None:

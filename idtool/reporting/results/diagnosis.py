@@ -242,7 +242,9 @@ class DiagnosisReport(ReproducibleResult):
     joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
     inertia: Literal["refit", "fixed"] = field("Whether inertia was identified again at every step or kept fixed.")
-    verdict: Literal["no_disagreement", "explained", "partly_explained", "unexplained"] = field("The verdict.")
+    verdict: Literal["no_disagreement", "explained", "partly_explained", "unexplained"] = field(
+        "The verdict; never `no_disagreement` if the noise floor is not known."
+    )
     searched: tuple[str, ...] | None = field("Effects that were searched for; null: all.")
     stopped: str = field("Why the search ended before it was complete; empty if it was complete.")
     before: ErrorLevel = field("Errors of the model without the effects.")
