@@ -285,8 +285,8 @@ def test_a_search_for_some_effects_says_nothing_of_others(arm: Experiment) -> No
     found = diagnose(arm, Options(effects=("payload",), simulate=False), silent)
     assert found.verdict == "unexplained"
     report = diagnosis_report(found, "refit")
-    assert "none of the effects searched for explains the difference on j2" in report.summary
-    assert report.next[0].startswith("None of the effects searched for explains the remaining residual on j2")
+    assert "none of the effects searched for explains the difference on j1 and j2" in report.summary
+    assert report.next[0].startswith("None of the effects searched for explains the remaining residual on j1 and j2")
 
 
 def test_effects_beside_a_fault_of_the_data_are_doubtful(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
