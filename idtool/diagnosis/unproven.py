@@ -64,18 +64,18 @@ def find_unproven(
         Callback for the stage and its progress, from 0 to 1.
     """
     floor = estimate_noise_floor(current.experiment, current.estimate.theta, progress, current.reversal_margin)
+    above_floor = np.maximum(_mean_squares(current) - np.square(floor.noise), 0.0)
     explained = []
-    above_floor = []
     for reduced in without:
         complete = linearize_fit(current.experiment, progress, reduced)
-        remaining = _mean_squares(complete)
-        explained.append(_mean_squares(reduced) - remaining)
-        above_floor.append(np.maximum(remaining - np.square(floor.noise), 0.0))
+        explained.append(_mean_squares(reduced) - _mean_squares(complete))
     totals = np.sum(explained, axis=1)
 
+    largest = int(np.argmax(totals))
     for k in np.argsort(totals).tolist():
-        share = _explained_share(explained[k], above_floor[k])
-        if totals[k] < _MIN_SHARE_OF_LARGEST * totals.max() and share < _MIN_EXPLAINED:
+        share = _explained_share(explained[k], above_floor)
+        is_small = k != largest and totals[k] < _MIN_SHARE_OF_LARGEST * totals[largest]
+        if is_small and share < _MIN_EXPLAINED:
             return UnprovenEffect(k, "it explains less than a tenth of what another effect does")
         if share < _MIN_EXPLAINED_IF_VARYING:
             (sizes,) = estimate_on_parts(current, [entries[k]], inflation, progress)
@@ -92,7 +92,7 @@ def _explained_share(explained: Array, above_floor: Array) -> float:
     explained
         Mean square that it explains of each joint's residual, shape (nv,).
     above_floor
-        Mean square that remains above the noise floor with it, shape (nv,).
+        Mean square that remains above the noise floor with it, at the rows where it is defined, shape (nv,).
     """
     j = int(np.argmax(explained))
     return float(explained[j] / max(explained[j] + above_floor[j], np.finfo(float).tiny))
