@@ -24,11 +24,11 @@ from idtool.robot.inertia import symmetric_matrix
 from idtool.robot.model import RobotModel
 
 _DAMPING_RATIO = 0.05  # harmonic drives and belts have a few per cent
-_BANDS = (14.0, 20.0, 28.0, 40.0, 56.0)  # Hz: candidates for the band in which torque tells the deflection
-_MAX_BAND = 0.2  # of the sampling rate
-_CLEAR = 3.0  # of the noise's power density, above which torque tells more than noise
-_SPECTRUM = 1024  # samples
-_MAX_DIFFERENTIATED = 0.25  # of the sampling rate, up to which a differentiated signal keeps its noise
+_CUTOFFS = (14.0, 20.0, 28.0, 40.0, 56.0)  # Hz: up to one of them the deflection is taken from the torque
+_MAX_CUTOFF = 0.2  # of the sampling rate
+_MIN_SIGNAL_TO_NOISE = 3.0  # power of the transmitted torque, its noise included, over that of the noise
+_WELCH_SAMPLES = 1024  # in each of the overlapping pieces whose spectra are averaged
+_MAX_DIFFERENTIABLE = 0.25  # of the sampling rate, above which differentiating damps the noise too
 _REVERSAL_GAP = 2e-3  # s about a reversal, in which the direction of the motor's friction is not known
 _GAP_ITERATIONS = 4
 _ORDER = 4
@@ -157,13 +157,14 @@ class JointElasticity(FixedJointEffect):
         When the link reverses is known as well as the filter resolves it, and dry friction jumps then.
         """
         count = len(motion.t)
-        edge = min(_low_pass(_BANDS[0], motion.dt).edge, count)
+        edge = min(_low_pass(_possible_cutoffs(motion.dt)[0], motion.dt).edge, count)
         at_ends = np.zeros(count, dtype=bool)
         at_ends[:edge] = True
         at_ends[count - edge :] = True
         deflection = motion.motor_minus_link.get(self.joint, np.zeros((3, count)))
-        resolution = 0.5 / self._band(self._displaced(motion, deflection))
-        reach = max(round(resolution / motion.dt), 1)
+        cutoff = self._highest_clear_frequency(self._displaced(motion, deflection))
+        half_period = 0.5 / max(cutoff, _CUTOFFS[0])  # a cutoff lowered to a low sampling rate does not lengthen it
+        reach = max(round(half_period / motion.dt), 1)
         near_reversals = ndimage.binary_dilation(reversals(motion.v[self.joint]), iterations=reach)
         return dict.fromkeys(range(len(motion.q)), at_ends) | {self.joint: at_ends | near_reversals}
 
@@ -189,7 +190,7 @@ class JointElasticity(FixedJointEffect):
         """Deflection and its first two derivatives, shape (N,), from the friction on the motor side."""
         dt = motion.dt
         carried = motion.tau[self.joint] - self._rotor_torque(motion) - motor_friction
-        low_pass = _low_pass(self._band(motion), dt)
+        low_pass = _low_pass(self._highest_clear_frequency(motion), dt)
         if np.any(motor_friction):
             reach = max(round(_REVERSAL_GAP / dt), 1)
             near_reversals = ndimage.binary_dilation(reversals(motion.v[self.joint]), iterations=reach)
@@ -206,41 +207,78 @@ class JointElasticity(FixedJointEffect):
         """Torque that the rotors take of the joint's, shape (N,) [N·m or N]."""
         return np.asarray(self._rotor_inertia[self.joint] @ motion.a)
 
-    def _band(self, motion: Motion) -> float:
-        """Frequency up to which the carried torque stands above its noise [Hz].
+    def _highest_clear_frequency(self, motion: Motion) -> float:
+        """Highest frequency at which the transmitted torque is above its noise, one of `_possible_cutoffs` [Hz].
 
-        Beyond, the deflection's second derivative is mostly noise: that of the torque, which is white, and that of the
-        acceleration, which increases with the frequency.
+        Beyond, the deflection's second derivative would be mostly noise. Friction on the motor side is not subtracted
+        from the torque here.
         """
         torque = motion.logged_tau[self.joint]
         rotor_torque = self._rotor_torque(motion)
         f, powers = _power_density(np.stack([torque, rotor_torque, torque - rotor_torque]), motion.dt)
-        torque_power, rotor_power, carried_power = powers
-        # Not all above the motion is noise: what an encoder's steps make a drive do is torque.
-        octaves = [(f > top / 2) & (f <= top) for top in _octave_tops(motion.dt)]
-        octaves = [octave for octave in octaves if octave.any()]
-        torque_noise = min((np.median(torque_power[octave]) for octave in octaves), default=0.0)
-        differentiated = [octave for octave in octaves if f[octave].max() < _MAX_DIFFERENTIATED / motion.dt]
-        rotor_noise = min((np.median(rotor_power[octave] / f[octave] ** 2) for octave in differentiated), default=0.0)
-        noise = torque_noise + rotor_noise * f**2
-        best = _BANDS[0]
-        for band in _BANDS[1:]:
-            octave = (f > band / 2) & (f <= band)
-            is_clear = octave.any() and carried_power[octave].mean() > _CLEAR * noise[octave].max()
-            if is_clear and band < _MAX_BAND / motion.dt:
-                best = band
-        return best
+        torque_power, rotor_power, transmitted_power = powers
+        noise_power = _noise_power_density(f, torque_power, rotor_power, motion.dt)
+
+        highest, *higher_cutoffs = _possible_cutoffs(motion.dt)
+        for cutoff in higher_cutoffs:
+            octave = _octave_below(cutoff, f)
+            if not octave.any():
+                continue
+            if transmitted_power[octave].mean() > _MIN_SIGNAL_TO_NOISE * noise_power[octave].max():
+                highest = cutoff
+        return highest
+
+
+def _possible_cutoffs(dt: float) -> list[float]:
+    """Those of `_CUTOFFS` that the sampling rate allows, ascending; the lowest is lowered to what it allows [Hz]."""
+    limit = _MAX_CUTOFF / dt
+    return [min(_CUTOFFS[0], limit), *(cutoff for cutoff in _CUTOFFS[1:] if cutoff < limit)]
+
+
+def _noise_power_density(f: Array, torque_power: Array, rotor_power: Array, dt: float) -> Array:
+    """Power density of the transmitted torque's noise at the frequencies f [Hz], shape (F,) [(N·m)²/Hz or N²/Hz].
+
+    The noise of the measured torque is white: its density is constant. The rotors' torque has that of the
+    acceleration, which is the derivative of a velocity with white noise: its density increases with f². Both levels are
+    those of the quietest octave, since not all above the motion is noise: what a drive does about the steps of its
+    encoder is torque.
+
+    Parameters
+    ----------
+    f
+        Frequencies [Hz], shape (F,).
+    torque_power, rotor_power
+        Power density of the measured torque, and of what the rotors take of it, shape (F,).
+    dt
+        Sample time [s].
+    """
+    octaves = [octave for top in _octave_tops(dt) if (octave := _octave_below(top, f)).any()]
+    white_level = min((np.median(torque_power[octave]) for octave in octaves), default=0.0)
+
+    differentiable = [octave for octave in octaves if f[octave].max() < _MAX_DIFFERENTIABLE / dt]
+    velocity_level = min((np.median(rotor_power[octave] / f[octave] ** 2) for octave in differentiable), default=0.0)
+    return np.asarray(white_level + velocity_level * f**2)
 
 
 def _octave_tops(dt: float) -> list[float]:
-    """Upper ends of the octaves in which noise is looked for, the bands' and those above [Hz]."""
-    tops = [*_BANDS, *(_BANDS[-1] * 2**k for k in range(1, 5))]
+    """Upper ends of the octaves in which noise is looked for, from the lowest cutoff on [Hz]."""
+    tops = [*_CUTOFFS, *(_CUTOFFS[-1] * 2**k for k in range(1, 5))]
     return [top for top in tops if top < 0.5 / dt]
 
 
+def _octave_below(top: float, f: Array) -> Mask:
+    """True for the frequencies of the octave that ends at ``top`` [Hz], shape (F,)."""
+    return (f > top / 2) & (f <= top)
+
+
 def _power_density(x: Array, dt: float) -> tuple[Array, Array]:
-    """Frequencies, shape (F,), and power density of signals, shape (m, N), at each, shape (m, F)."""
-    f, power = welch(x, 1 / dt, nperseg=min(_SPECTRUM, x.shape[-1]))
+    """Power density of signals x, shape (m, N), by Welch's method.
+
+    Returns
+    -------
+    Frequencies [Hz], shape (F,), and the power density of each signal, shape (m, F) [its unit squared per Hz].
+    """
+    f, power = welch(x, 1 / dt, nperseg=min(_WELCH_SAMPLES, x.shape[-1]))
     return np.asarray(f), np.asarray(power)
 
 
@@ -275,5 +313,5 @@ def _lagged(x: Array, time: float, dt: float) -> Array:
 
 
 @cache
-def _low_pass(band: float, dt: float) -> LowPass:
-    return LowPass(min(band, _MAX_BAND / dt), _ORDER, dt)
+def _low_pass(cutoff: float, dt: float) -> LowPass:
+    return LowPass(cutoff, _ORDER, dt)
