@@ -64,13 +64,8 @@ class JointElasticity(FixedJointEffect):
 
     def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, nonlinear_values)
-        nv = len(model.joints)
-        self._rotor_inertia = np.zeros((nv, nv))  # torque on each joint per acceleration of each
-        for body in model.bodies:
-            if body.kind == "rotor":
-                axial = float(body.axis @ symmetric_matrix(body.pi[4:]) @ body.axis)
-                self._rotor_inertia += axial * np.outer(body.ratios, body.ratios)
-        self._model_along: Callable[[Motion], Linearization] | None = None
+        self._reflected_inertia = _reflected_inertia(model)
+        self._rigid_joint_model: Callable[[Motion], Linearization] | None = None
 
     @classmethod
     @override
@@ -105,8 +100,8 @@ class JointElasticity(FixedJointEffect):
     ) -> Array:
         """Derivative by the compliance, 1 / stiffness."""
         unit = cls(summary.model, joint, {"stiffness": 1.0})
-        motor_friction = nonlinear_values["motor_friction"] * linearized.friction_torque(joint)
-        q, v, a = unit._deflection(motion, motor_friction)
+        motor_friction_torque = nonlinear_values["motor_friction"] * linearized.friction_torque(joint)
+        q, v, a = unit._deflection(motion, motor_friction_torque)
         return linearized.torque_change_by_motion(joint, -q, -v, -a)
 
     @classmethod
@@ -116,12 +111,12 @@ class JointElasticity(FixedJointEffect):
 
     @override
     def set_operating_point(self, model: Callable[[Motion], Linearization], theta: Array) -> None:
-        self._model_along = model
+        self._rigid_joint_model = model
 
     @override
     def correct_motion(self, motion: Motion) -> Motion:
         """Motion of the link."""
-        deflection = np.stack(self._deflection(motion, self._motor_friction(motion), self._retardation_time))
+        deflection = self._deflection(motion, self._motor_friction_torque(motion), self._retardation_time)
         link_motion = self._displaced(motion, -deflection)
         return replace(link_motion, motor_minus_link={**motion.motor_minus_link, self.joint: deflection})
 
@@ -129,18 +124,18 @@ class JointElasticity(FixedJointEffect):
     def fixed_torque(self, motion: Motion) -> Array:
         """Additional torque of the motor side, compared with a motor that moves as the link."""
         deflection = motion.motor_minus_link[self.joint]
-        torque = np.outer(self._rotor_inertia[:, self.joint], deflection[2])
+        torque = np.outer(self._reflected_inertia[:, self.joint], deflection[2])
         if self.nonlinear_values["motor_friction"]:
             motor_motion = self._displaced(motion, deflection)
-            torque[self.joint] += self._motor_friction(motor_motion) - self._motor_friction(motion)
+            torque[self.joint] += self._motor_friction_torque(motor_motion) - self._motor_friction_torque(motion)
         return torque
 
-    def _motor_friction(self, motion: Motion) -> Array | float:
-        """Friction torque on the motor side, shape (N,) [N·m or N]."""
+    def _motor_friction_torque(self, motion: Motion) -> Array:
+        """Friction torque on the motor side where the motor moves by a motion, shape (N,) [N·m or N]."""
         share: float = self.nonlinear_values["motor_friction"]
-        if not share or self._model_along is None:
-            return 0.0
-        return share * self._model_along(motion).friction_torque(self.joint)
+        if not share or self._rigid_joint_model is None:
+            return np.zeros(len(motion.t))
+        return share * self._rigid_joint_model(motion).friction_torque(self.joint)
 
     def _displaced(self, motion: Motion, change: Array) -> Motion:
         """Motion with changes of the joint's q, v and a, shape (3, N)."""
@@ -164,8 +159,7 @@ class JointElasticity(FixedJointEffect):
         deflection = motion.motor_minus_link.get(self.joint, np.zeros((3, count)))
         cutoff = self._highest_clear_frequency(self._displaced(motion, deflection))
         half_period = 0.5 / max(cutoff, _CUTOFFS[0])  # a cutoff lowered to a low sampling rate does not lengthen it
-        reach = max(round(half_period / motion.dt), 1)
-        near_reversals = ndimage.binary_dilation(reversals(motion.v[self.joint]), iterations=reach)
+        near_reversals = _near_reversals(motion.v[self.joint], half_period, motion.dt)
         return dict.fromkeys(range(len(motion.q)), at_ends) | {self.joint: at_ends | near_reversals}
 
     @override
@@ -181,31 +175,41 @@ class JointElasticity(FixedJointEffect):
     @property
     def _retardation_time(self) -> float:
         """Time by which the deflection lags the torque, as the spring's damper takes part of it [s]."""
-        inertia = self._rotor_inertia[self.joint, self.joint]
+        inertia = self._reflected_inertia[self.joint, self.joint]
         return float(2 * _DAMPING_RATIO * np.sqrt(inertia / self.nonlinear_values["stiffness"]))
 
-    def _deflection(
-        self, motion: Motion, motor_friction: Array | float, retardation_time: float = 0.0
-    ) -> tuple[Array, Array, Array]:
-        """Deflection and its first two derivatives, shape (N,), from the friction on the motor side."""
+    def _deflection(self, motion: Motion, motor_friction_torque: Array, retardation_time: float = 0.0) -> Array:
+        """Deflection and its first two time derivatives, shape (3, N) [rad or m, and per s and s²].
+
+        Parameters
+        ----------
+        motion
+            Motion of the motor.
+        motor_friction_torque
+            Friction torque on the motor side, shape (N,) [N·m or N].
+        retardation_time
+            Time constant by which the deflection lags the torque [s].
+        """
         dt = motion.dt
-        carried = motion.tau[self.joint] - self._rotor_torque(motion) - motor_friction
+        transmitted = motion.tau[self.joint] - self._rotor_torque(motion) - motor_friction_torque
         low_pass = _low_pass(self._highest_clear_frequency(motion), dt)
-        if np.any(motor_friction):
-            reach = max(round(_REVERSAL_GAP / dt), 1)
-            near_reversals = ndimage.binary_dilation(reversals(motion.v[self.joint]), iterations=reach)
-            carried = _continued(carried, near_reversals, low_pass)
+        if motor_friction_torque.any():
+            # Friction jumps where the motor reverses, and the transmitted torque does not.
+            near_reversals = _near_reversals(motion.v[self.joint], _REVERSAL_GAP, dt)
+            transmitted = _fill_gaps(transmitted, near_reversals, low_pass)
         if retardation_time:
-            carried = _lagged(carried, retardation_time, dt)
-        margin = 2 * DIFFERENCE_REACH
-        q = _smoothed(carried, low_pass, margin)[None] / self.nonlinear_values["stiffness"]
+            transmitted = _first_order_lag(transmitted, retardation_time, dt)
+
+        # Each derivative loses samples at both ends: the deflection is continued beyond the data by what two lose.
+        lost = DIFFERENCE_REACH
+        q = _smoothed(transmitted, low_pass, margin=2 * lost)[None] / self.nonlinear_values["stiffness"]
         v = differentiate(q, dt)
         a = differentiate(v, dt)
-        return q[0, margin:-margin], v[0, margin // 2 : -(margin // 2)], a[0]
+        return np.concatenate([q[:, 2 * lost : -2 * lost], v[:, lost:-lost], a])
 
     def _rotor_torque(self, motion: Motion) -> Array:
-        """Torque that the rotors take of the joint's, shape (N,) [N·m or N]."""
-        return np.asarray(self._rotor_inertia[self.joint] @ motion.a)
+        """Torque that accelerates the joint's rotors, shape (N,) [N·m or N]."""
+        return np.asarray(self._reflected_inertia[self.joint] @ motion.a)
 
     def _highest_clear_frequency(self, motion: Motion) -> float:
         """Highest frequency at which the transmitted torque is above its noise, one of `_possible_cutoffs` [Hz].
@@ -282,33 +286,56 @@ def _power_density(x: Array, dt: float) -> tuple[Array, Array]:
     return np.asarray(f), np.asarray(power)
 
 
+def _reflected_inertia(model: RobotModel) -> Array:
+    """Reflected inertia of the rotors by their prior, shape (nv, nv) [kg·m² or kg].
+
+    It is the torque on each joint per acceleration of each: a rotor with the inertia I about its own axis, which turns
+    by ratios · q, takes the torque I ratios (ratios · d²q/dt²).
+    """
+    nv = len(model.joints)
+    inertia = np.zeros((nv, nv))
+    for body in model.bodies:
+        if body.kind == "rotor":
+            axial = float(body.axis @ symmetric_matrix(body.pi[4:]) @ body.axis)
+            inertia += axial * np.outer(body.ratios, body.ratios)
+    return inertia
+
+
+def _near_reversals(v: Array, time: float, dt: float) -> Mask:
+    """Samples within a time [s] of a reversal of the velocity, and at least the two on each side of it, shape (N,)."""
+    reach = max(round(time / dt), 1)
+    return ndimage.binary_dilation(reversals(v), iterations=reach)
+
+
 def _smoothed(x: Array, low_pass: LowPass, margin: int = 0) -> Array:
-    """A signal after a low-pass, continued beyond both ends by a margin, shape (N + 2 margin,)."""
+    """A signal of shape (N,) after a low-pass, and continued beyond both ends by a margin, shape (N + 2 margin,)."""
     padded = np.pad(x, low_pass.reach + margin, mode="reflect", reflect_type="odd")
     return np.asarray(low_pass(padded[None], low_pass.reach, low_pass.reach)[0])
 
 
-def _continued(x: Array, gap: Mask, low_pass: LowPass) -> Array:
-    """A signal continued within its band over gaps, shape (N,).
+def _fill_gaps(x: Array, gap: Mask, low_pass: LowPass) -> Array:
+    """A signal that is continued within the low-pass's band over gaps, where its samples are not used; shape (N,).
 
-    Papoulis (1975) and Gerchberg (1974): the low-pass of the whole is taken in the gaps, from straight lines on.
+    A straight line over each gap first; then, repeatedly, the low-pass of the whole signal. Gerchberg, Super-resolution
+    through error energy reduction, Optica Acta 21 (1974); Papoulis, A new algorithm in spectral analysis and
+    band-limited extrapolation, IEEE Transactions on Circuits and Systems 22 (1975).
     """
     if gap.all():
         return x
     sample = np.arange(len(x))
-    continued = x.copy()
-    continued[gap] = np.interp(sample[gap], sample[~gap], x[~gap])
+    filled = x.copy()
+    filled[gap] = np.interp(sample[gap], sample[~gap], x[~gap])
     for _ in range(_GAP_ITERATIONS):
-        continued[gap] = _smoothed(continued, low_pass)[gap]
-    return continued
+        filled[gap] = _smoothed(filled, low_pass)[gap]
+    return filled
 
 
-def _lagged(x: Array, time: float, dt: float) -> Array:
-    """First-order lag of a signal, by the trapezoidal rule, shape (N,)."""
-    numerator = np.array([dt, dt]) / (2 * time + dt)
-    denominator = np.array([1.0, (dt - 2 * time) / (2 * time + dt)])
-    start = lfilter_zi(numerator, denominator) * x[0]
-    y, _ = lfilter(numerator, denominator, x, zi=start)
+def _first_order_lag(x: Array, time_constant: float, dt: float) -> Array:
+    """Solution y of time_constant · dy/dt + y = x by the trapezoidal rule, from the steady state on, shape (N,)."""
+    numerator = np.array([dt, dt]) / (2 * time_constant + dt)
+    denominator = np.array([1.0, (dt - 2 * time_constant) / (2 * time_constant + dt)])
+    steady_state = lfilter_zi(numerator, denominator) * x[0]
+    y, _ = lfilter(numerator, denominator, x, zi=steady_state)
     return np.asarray(y)
 
 
