@@ -36,18 +36,38 @@ _MOTOR_FRICTION_SHARES = (0.0, 0.5, 1.0)  # shares of friction on the motor side
 
 
 class JointElasticity(FixedJointEffect):
-    """Elasticity: motor position − link position = transmitted torque / stiffness.
+    """A spring between motor and link: motor position − link position = transmitted torque / stiffness.
 
-    The joint is measured and driven at the motor side, where its rotors turn; all other effects act at the link,
-    and of friction what ``motor_friction``, a share that may be left out, does not put on the motor. In the forward
-    model it is a spring with a damper of 5 % of what is critical for the motor, which needs a rotor or `rotor_inertia`
-    on the joint.
+    The model is that of Spong, Modeling and control of elastic joint robots, ASME Journal of Dynamic Systems,
+    Measurement, and Control 109 (1987), with a damper parallel to the spring and friction on the motor side::
 
-    In the torque equation the link's motion is the measured one less the deflection. That is taken from the carried
-    torque: the measured one less what the rotors take of it by their prior, up to where this sinks into its noise, 14
-    to 56 Hz. The deflection lags it by the damper. A spring's torque does not jump: where the motor reverses, and its
-    friction jumps, the carried torque is continued within its band. What the rotors take more than they would if they
-    turned with the link is known then too. That of a `rotor_inertia` is not: give a heavy rotor under `rotors`.
+        deflection:   delta = theta − q
+        motor side:   tau = B d²theta/dt² + tau_f + tau_J
+        spring:       tau_J = K delta + D d delta/dt
+        link side:    tau_J = torque of all other effects along q, without B d²q/dt² and the motor's friction
+
+    with the position theta of the motor and q of the link, the torque tau of the motor and tau_J that is transmitted,
+    all at the joint output; the reflected inertia B of the rotors; and the damper D = 2 · 0.05 √(K B), 5 % of what is
+    critical for the motor. ``stiffness`` is K [N·m/rad or N/m]. The friction tau_f of the motor is the share
+    ``motor_friction`` of the joint's friction; the share may be left out, and is 0 then.
+
+    In the torque equation the deflection is computed from the log:
+
+    1. The motion of the motor, theta and its derivatives, and the torque tau are measured.
+    2. The transmitted torque is tau less B d²theta/dt², with the prior inertia of the rotors, and less tau_f, which the
+       model with rigid joints gives along theta.
+    3. Where the motor reverses, tau_f jumps, and when is not known to the sample; the torque of a spring does not jump.
+       So within 2 ms of a reversal, the transmitted torque is continued from its surroundings, in the band of step 5.
+    4. The damper makes the deflection lag the torque: delta + (D / K) d delta/dt = tau_J / K.
+    5. A low-pass keeps what is below the highest frequency, of five from 14 to 56 Hz, at which the transmitted torque
+       is above its noise. Above it, the second derivative would be mostly noise.
+    6. The motion of the link is that of the motor less the deflection and its two derivatives. All other effects,
+       rotors and friction included, act along it.
+    7. Rotors and tau_f act along theta, though: what they take more there is added to the torque.
+
+    Samples at the ends of the data and near reversals of the link are left out; see `invalid_mask`. The inertia of a
+    `rotor_inertia` has no prior, and is left out of B in steps 2, 4 and 7: give a heavy rotor under `rotors`. The
+    forward model needs one of the two on the joint.
     """
 
     id = "joint_elasticity"
@@ -79,7 +99,7 @@ class JointElasticity(FixedJointEffect):
     @classmethod
     @override
     def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
-        """A joint that deflects by less than the noise of its position, or by more than its own travel."""
+        """Why no joint is as stiff or as soft: it would deflect by less than its noise, or by more than its travel."""
         j = summary.model.names.index(str(joint))
         deflection = float(summary.peak_torque[j]) / float(values["stiffness"])
         if deflection > summary.q_range[j]:
@@ -98,15 +118,25 @@ class JointElasticity(FixedJointEffect):
         motion: Motion,
         linearized: Linearization,
     ) -> Array:
-        """Derivative by the compliance, 1 / stiffness."""
-        unit = cls(summary.model, joint, {"stiffness": 1.0})
+        """Derivative of the predicted torque by the compliance c at c = 0, shape (nv, N) [(N·m)²/rad or N²/m].
+
+        The compliance is 1 / stiffness. With it, the link moves by −delta and the rotors stay with the motor; to first
+        order, `Linearization.torque_change_by_motion` gives the change of the torque by that. The equation of the
+        spring, divided by K, is::
+
+            delta + T d delta/dt = c tau_J,    T = D / K = 2 · 0.05 √(B c)
+
+        At c = 0, T is 0, so that d delta/dc = tau_J: the deflection of a spring of stiffness 1 without a damper.
+        """
+        unit_spring = cls(summary.model, joint, {"stiffness": 1.0})
         motor_friction_torque = nonlinear_values["motor_friction"] * linearized.friction_torque(joint)
-        q, v, a = unit._deflection(motion, motor_friction_torque)
+        q, v, a = unit_spring._deflection(motion, motor_friction_torque)
         return linearized.torque_change_by_motion(joint, -q, -v, -a)
 
     @classmethod
     @override
     def values_from_coefficient(cls, c: float, nonlinear_values: Mapping[str, float]) -> Mapping[str, float] | None:
+        """The stiffness from the compliance c [rad/(N·m) or m/N]; None if that is not positive."""
         return {**nonlinear_values, "stiffness": 1 / c} if c > 0 else None
 
     @override
@@ -115,14 +145,18 @@ class JointElasticity(FixedJointEffect):
 
     @override
     def correct_motion(self, motion: Motion) -> Motion:
-        """Motion of the link."""
+        """Motion of the link, from that of the motor; steps 1 to 6 of the class."""
         deflection = self._deflection(motion, self._motor_friction_torque(motion), self._retardation_time)
         link_motion = self._displaced(motion, -deflection)
         return replace(link_motion, motor_minus_link={**motion.motor_minus_link, self.joint: deflection})
 
     @override
     def fixed_torque(self, motion: Motion) -> Array:
-        """Additional torque of the motor side, compared with a motor that moves as the link."""
+        """Torque of the motor side less that if the motor moved as the link, shape (nv, N) [N·m or N].
+
+        On all joints that turn the rotors, B d²delta/dt²; on this one also the difference in motor friction. Step 7 of
+        the class.
+        """
         deflection = motion.motor_minus_link[self.joint]
         torque = np.outer(self._reflected_inertia[:, self.joint], deflection[2])
         if self.nonlinear_values["motor_friction"]:
@@ -138,7 +172,7 @@ class JointElasticity(FixedJointEffect):
         return share * self._rigid_joint_model(motion).friction_torque(self.joint)
 
     def _displaced(self, motion: Motion, change: Array) -> Motion:
-        """Motion with changes of the joint's q, v and a, shape (3, N)."""
+        """Motion with changes added to the joint's q, v and a, shape (3, N) [rad or m, and per s and s²]."""
         q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
         q[self.joint] += change[0]
         v[self.joint] += change[1]
@@ -147,9 +181,10 @@ class JointElasticity(FixedJointEffect):
 
     @override
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
-        """Samples at the ends, beyond which the deflection's filter reaches, and those near the link's reversals.
+        """Samples whose deflection is not known: joint index to a mask of shape (N,).
 
-        When the link reverses is known as well as the filter resolves it, and dry friction jumps then.
+        On all joints, those at the ends, beyond which the deflection's low-pass reaches. On this joint also those near
+        reversals of the link, where dry friction jumps: when is known to half a period of the deflection's cutoff.
         """
         count = len(motion.t)
         edge = min(_low_pass(_possible_cutoffs(motion.dt)[0], motion.dt).edge, count)
@@ -174,12 +209,14 @@ class JointElasticity(FixedJointEffect):
 
     @property
     def _retardation_time(self) -> float:
-        """Time by which the deflection lags the torque, as the spring's damper takes part of it [s]."""
+        """Time constant D / K = 2 · 0.05 √(B / K) by which the damper makes the deflection lag the torque [s]."""
         inertia = self._reflected_inertia[self.joint, self.joint]
         return float(2 * _DAMPING_RATIO * np.sqrt(inertia / self.nonlinear_values["stiffness"]))
 
     def _deflection(self, motion: Motion, motor_friction_torque: Array, retardation_time: float = 0.0) -> Array:
         """Deflection and its first two time derivatives, shape (3, N) [rad or m, and per s and s²].
+
+        Steps 2 to 5 of the class.
 
         Parameters
         ----------
@@ -188,7 +225,7 @@ class JointElasticity(FixedJointEffect):
         motor_friction_torque
             Friction torque on the motor side, shape (N,) [N·m or N].
         retardation_time
-            Time constant by which the deflection lags the torque [s].
+            Time constant of the deflection's lag [s]; 0: no lag.
         """
         dt = motion.dt
         transmitted = motion.tau[self.joint] - self._rotor_torque(motion) - motor_friction_torque
@@ -242,10 +279,9 @@ def _possible_cutoffs(dt: float) -> list[float]:
 def _noise_power_density(f: Array, torque_power: Array, rotor_power: Array, dt: float) -> Array:
     """Power density of the transmitted torque's noise at the frequencies f [Hz], shape (F,) [(N·m)²/Hz or N²/Hz].
 
-    The noise of the measured torque is white: its density is constant. The rotors' torque has that of the
-    acceleration, which is the derivative of a velocity with white noise: its density increases with f². Both levels are
-    those of the quietest octave, since not all above the motion is noise: what a drive does about the steps of its
-    encoder is torque.
+    The noise of the measured torque is taken as white: its density is constant. That of the rotors' torque is the noise
+    of the acceleration, taken as a derivative of white noise: its density increases with f². Both levels are medians
+    in the quietest octave, since not all above the motion is noise: what an encoder's steps make a drive do is torque.
 
     Parameters
     ----------
@@ -256,12 +292,13 @@ def _noise_power_density(f: Array, torque_power: Array, rotor_power: Array, dt: 
     dt
         Sample time [s].
     """
-    octaves = [octave for top in _octave_tops(dt) if (octave := _octave_below(top, f)).any()]
-    white_level = min((np.median(torque_power[octave]) for octave in octaves), default=0.0)
+    octaves = [_octave_below(top, f) for top in _octave_tops(dt)]
+    octaves = [octave for octave in octaves if octave.any()]
+    torque_level = min((np.median(torque_power[octave]) for octave in octaves), default=0.0)
 
     differentiable = [octave for octave in octaves if f[octave].max() < _MAX_DIFFERENTIABLE / dt]
-    velocity_level = min((np.median(rotor_power[octave] / f[octave] ** 2) for octave in differentiable), default=0.0)
-    return np.asarray(white_level + velocity_level * f**2)
+    rotor_level = min((np.median(rotor_power[octave] / f[octave] ** 2) for octave in differentiable), default=0.0)
+    return np.asarray(torque_level + rotor_level * f**2)
 
 
 def _octave_tops(dt: float) -> list[float]:
