@@ -31,7 +31,7 @@ _WELCH_SAMPLES = 1024  # in each of the overlapping pieces whose spectra are ave
 _MAX_DIFFERENTIABLE = 0.25  # of the sampling rate, above which differentiating damps the noise too
 _REVERSAL_GAP = 2e-3  # s about a reversal, in which the direction of the motor's friction is not known
 _GAP_ITERATIONS = 4
-_ORDER = 4
+_ORDER = 4  # of the low-pass
 _MOTOR_FRICTION_SHARES = (0.0, 0.5, 1.0)  # shares of friction on the motor side that are tried
 
 
@@ -56,11 +56,13 @@ class JointElasticity(FixedJointEffect):
     1. The motion of the motor, theta and its derivatives, and the torque tau are measured.
     2. The transmitted torque is tau less B d²theta/dt², with the prior inertia of the rotors, and less tau_f, which the
        model with rigid joints gives along theta.
-    3. Where the motor reverses, tau_f jumps, and when is not known to the sample; the torque of a spring does not jump.
-       So within 2 ms of a reversal, the transmitted torque is continued from its surroundings, in the band of step 5.
+    3. Where the motor reverses, tau_f jumps at a time that is not known to the sample; a spring's torque does not jump.
+       If tau_f is not 0, the transmitted torque within 2 ms of a reversal is therefore replaced by what continues the
+       torque before and after it within the band of step 5.
     4. The damper makes the deflection lag the torque: delta + (D / K) d delta/dt = tau_J / K.
     5. A low-pass keeps what is below the highest frequency, of five from 14 to 56 Hz, at which the transmitted torque
-       is above its noise. Above it, the second derivative would be mostly noise.
+       is above its noise. Above it, the second derivative would be mostly noise. At low sampling rates, the cutoff is
+       at most a fifth of the rate.
     6. The motion of the link is that of the motor less the deflection and its two derivatives. All other effects,
        rotors and friction included, act along it.
     7. Rotors and tau_f act along theta, though: what they take more there is added to the torque.
@@ -121,8 +123,8 @@ class JointElasticity(FixedJointEffect):
         """Derivative of the predicted torque by the compliance c at c = 0, shape (nv, N) [(N·m)²/rad or N²/m].
 
         The compliance is 1 / stiffness. With it, the link moves by −delta and the rotors stay with the motor; to first
-        order, `Linearization.torque_change_by_motion` gives the change of the torque by that. The equation of the
-        spring, divided by K, is::
+        order, `Linearization.torque_change_by_motion` gives the change of the bodies' torque by that. The change of
+        friction is left out. The equation of the spring, divided by K, is::
 
             delta + T d delta/dt = c tau_J,    T = D / K = 2 · 0.05 √(B c)
 
@@ -184,7 +186,7 @@ class JointElasticity(FixedJointEffect):
         """Samples whose deflection is not known: joint index to a mask of shape (N,).
 
         On all joints, those at the ends, beyond which the deflection's low-pass reaches. On this joint also those near
-        reversals of the link, where dry friction jumps: when is known to half a period of the deflection's cutoff.
+        reversals of the link, where dry friction jumps: their time is known to half a period of the cutoff frequency.
         """
         count = len(motion.t)
         edge = min(_low_pass(_possible_cutoffs(motion.dt)[0], motion.dt).edge, count)
