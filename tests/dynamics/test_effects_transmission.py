@@ -153,7 +153,7 @@ def test_what_lies_within_a_band_is_continued_over_gaps() -> None:
     for reversal in range(300, 3700, 170):
         gap[reversal - 3 : reversal + 3] = True
     broken = np.where(gap, tones + 40.0, tones)
-    continued = joint_elasticity._continued(broken, gap, joint_elasticity._low_pass(20.0, dt))
+    continued = joint_elasticity._fill_gaps(broken, gap, joint_elasticity._low_pass(20.0, dt))
     np.testing.assert_array_equal(continued[~gap], tones[~gap])
     np.testing.assert_allclose(continued[gap], tones[gap], atol=0.06)
 

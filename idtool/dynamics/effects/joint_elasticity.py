@@ -24,30 +24,52 @@ from idtool.robot.inertia import symmetric_matrix
 from idtool.robot.model import RobotModel
 
 _DAMPING_RATIO = 0.05  # harmonic drives and belts have a few per cent
-_BANDS = (14.0, 20.0, 28.0, 40.0, 56.0)  # Hz: candidates for the band in which torque tells the deflection
-_MAX_BAND = 0.2  # of the sampling rate
-_CLEAR = 3.0  # of the noise's power density, above which torque tells more than noise
-_SPECTRUM = 1024  # samples
-_MAX_DIFFERENTIATED = 0.25  # of the sampling rate, up to which a differentiated signal keeps its noise
+_CUTOFFS = (14.0, 20.0, 28.0, 40.0, 56.0)  # Hz: up to one of them the deflection is taken from the torque
+_MAX_CUTOFF = 0.2  # of the sampling rate
+_MIN_SIGNAL_TO_NOISE = 3.0  # power of the transmitted torque, its noise included, over that of the noise
+_WELCH_SAMPLES = 1024  # in each of the overlapping pieces whose spectra are averaged
+_MAX_DIFFERENTIABLE = 0.25  # of the sampling rate, above which differentiating damps the noise too
 _REVERSAL_GAP = 2e-3  # s about a reversal, in which the direction of the motor's friction is not known
 _GAP_ITERATIONS = 4
-_ORDER = 4
+_ORDER = 4  # of the low-pass
 _MOTOR_FRICTION_SHARES = (0.0, 0.5, 1.0)  # shares of friction on the motor side that are tried
 
 
 class JointElasticity(FixedJointEffect):
-    """Elasticity: motor position − link position = transmitted torque / stiffness.
+    """A spring between motor and link: motor position − link position = transmitted torque / stiffness.
 
-    The joint is measured and driven at the motor side, where its rotors turn; all other effects act at the link,
-    and of friction what ``motor_friction``, a share that may be left out, does not put on the motor. In the forward
-    model it is a spring with a damper of 5 % of what is critical for the motor, which needs a rotor or `rotor_inertia`
-    on the joint.
+    The model is that of Spong, Modeling and control of elastic joint robots, ASME Journal of Dynamic Systems,
+    Measurement, and Control 109 (1987), with a damper parallel to the spring and friction on the motor side::
 
-    In the torque equation the link's motion is the measured one less the deflection. That is taken from the carried
-    torque: the measured one less what the rotors take of it by their prior, up to where this sinks into its noise, 14
-    to 56 Hz. The deflection lags it by the damper. A spring's torque does not jump: where the motor reverses, and its
-    friction jumps, the carried torque is continued within its band. What the rotors take more than they would if they
-    turned with the link is known then too. That of a `rotor_inertia` is not: give a heavy rotor under `rotors`.
+        deflection:   delta = theta − q
+        motor side:   tau = B d²theta/dt² + tau_f + tau_J
+        spring:       tau_J = K delta + D d delta/dt
+        link side:    tau_J = torque of all other effects along q, without B d²q/dt² and the motor's friction
+
+    with the position theta of the motor and q of the link, the torque tau of the motor and tau_J that is transmitted,
+    all at the joint output; the reflected inertia B of the rotors; and the damper D = 2 · 0.05 √(K B), 5 % of what is
+    critical for the motor. ``stiffness`` is K [N·m/rad or N/m]. The friction tau_f of the motor is the share
+    ``motor_friction`` of the joint's friction; the share may be left out, and is 0 then.
+
+    In the torque equation the deflection is computed from the log:
+
+    1. The motion of the motor, theta and its derivatives, and the torque tau are measured.
+    2. The transmitted torque is tau less B d²theta/dt², with the prior inertia of the rotors, and less tau_f, which the
+       model with rigid joints gives along theta.
+    3. Where the motor reverses, tau_f jumps at a time that is not known to the sample; a spring's torque does not jump.
+       If tau_f is not 0, the transmitted torque within 2 ms of a reversal is therefore replaced by what continues the
+       torque before and after it within the band of step 5.
+    4. The damper makes the deflection lag the torque: delta + (D / K) d delta/dt = tau_J / K.
+    5. A low-pass keeps what is below the highest frequency, of five from 14 to 56 Hz, at which the transmitted torque
+       is above its noise. Above it, the second derivative would be mostly noise. At low sampling rates, the cutoff is
+       at most a fifth of the rate.
+    6. The motion of the link is that of the motor less the deflection and its two derivatives. All other effects,
+       rotors and friction included, act along it.
+    7. Rotors and tau_f act along theta, though: what they take more there is added to the torque.
+
+    Samples at the ends of the data and near reversals of the link are left out; see `invalid_mask`. The inertia of a
+    `rotor_inertia` has no prior, and is left out of B in steps 2, 4 and 7: give a heavy rotor under `rotors`. The
+    forward model needs one of the two on the joint.
     """
 
     id = "joint_elasticity"
@@ -64,13 +86,8 @@ class JointElasticity(FixedJointEffect):
 
     def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, nonlinear_values)
-        nv = len(model.joints)
-        self._rotor_inertia = np.zeros((nv, nv))  # torque on each joint per acceleration of each
-        for body in model.bodies:
-            if body.kind == "rotor":
-                axial = float(body.axis @ symmetric_matrix(body.pi[4:]) @ body.axis)
-                self._rotor_inertia += axial * np.outer(body.ratios, body.ratios)
-        self._model_along: Callable[[Motion], Linearization] | None = None
+        self._reflected_inertia = _reflected_inertia(model)
+        self._rigid_joint_model: Callable[[Motion], Linearization] | None = None
 
     @classmethod
     @override
@@ -84,7 +101,7 @@ class JointElasticity(FixedJointEffect):
     @classmethod
     @override
     def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
-        """A joint that deflects by less than the noise of its position, or by more than its own travel."""
+        """Why no joint is as stiff or as soft: it would deflect by less than its noise, or by more than its travel."""
         j = summary.model.names.index(str(joint))
         deflection = float(summary.peak_torque[j]) / float(values["stiffness"])
         if deflection > summary.q_range[j]:
@@ -103,47 +120,61 @@ class JointElasticity(FixedJointEffect):
         motion: Motion,
         linearized: Linearization,
     ) -> Array:
-        """Derivative by the compliance, 1 / stiffness."""
-        unit = cls(summary.model, joint, {"stiffness": 1.0})
-        motor_friction = nonlinear_values["motor_friction"] * linearized.friction_torque(joint)
-        q, v, a = unit._deflection(motion, motor_friction)
+        """Derivative of the predicted torque by the compliance c at c = 0, shape (nv, N) [(N·m)²/rad or N²/m].
+
+        The compliance is 1 / stiffness. With it, the link moves by −delta and the rotors stay with the motor; to first
+        order, `Linearization.torque_change_by_motion` gives the change of the bodies' torque by that. The change of
+        friction is left out. The equation of the spring, divided by K, is::
+
+            delta + T d delta/dt = c tau_J,    T = D / K = 2 · 0.05 √(B c)
+
+        At c = 0, T is 0, so that d delta/dc = tau_J: the deflection of a spring of stiffness 1 without a damper.
+        """
+        unit_spring = cls(summary.model, joint, {"stiffness": 1.0})
+        motor_friction_torque = nonlinear_values["motor_friction"] * linearized.friction_torque(joint)
+        q, v, a = unit_spring._deflection(motion, motor_friction_torque)
         return linearized.torque_change_by_motion(joint, -q, -v, -a)
 
     @classmethod
     @override
     def values_from_coefficient(cls, c: float, nonlinear_values: Mapping[str, float]) -> Mapping[str, float] | None:
+        """The stiffness from the compliance c [rad/(N·m) or m/N]; None if that is not positive."""
         return {**nonlinear_values, "stiffness": 1 / c} if c > 0 else None
 
     @override
     def set_operating_point(self, model: Callable[[Motion], Linearization], theta: Array) -> None:
-        self._model_along = model
+        self._rigid_joint_model = model
 
     @override
     def correct_motion(self, motion: Motion) -> Motion:
-        """Motion of the link."""
-        deflection = np.stack(self._deflection(motion, self._motor_friction(motion), self._retardation_time))
+        """Motion of the link, from that of the motor; steps 1 to 6 of the class."""
+        deflection = self._deflection(motion, self._motor_friction_torque(motion), self._retardation_time)
         link_motion = self._displaced(motion, -deflection)
         return replace(link_motion, motor_minus_link={**motion.motor_minus_link, self.joint: deflection})
 
     @override
     def fixed_torque(self, motion: Motion) -> Array:
-        """Additional torque of the motor side, compared with a motor that moves as the link."""
+        """Torque of the motor side less that if the motor moved as the link, shape (nv, N) [N·m or N].
+
+        On all joints that turn the rotors, B d²delta/dt²; on this one also the difference in motor friction. Step 7 of
+        the class.
+        """
         deflection = motion.motor_minus_link[self.joint]
-        torque = np.outer(self._rotor_inertia[:, self.joint], deflection[2])
+        torque = np.outer(self._reflected_inertia[:, self.joint], deflection[2])
         if self.nonlinear_values["motor_friction"]:
             motor_motion = self._displaced(motion, deflection)
-            torque[self.joint] += self._motor_friction(motor_motion) - self._motor_friction(motion)
+            torque[self.joint] += self._motor_friction_torque(motor_motion) - self._motor_friction_torque(motion)
         return torque
 
-    def _motor_friction(self, motion: Motion) -> Array | float:
-        """Friction torque on the motor side, shape (N,) [N·m or N]."""
+    def _motor_friction_torque(self, motion: Motion) -> Array:
+        """Friction torque on the motor side where the motor moves by a motion, shape (N,) [N·m or N]."""
         share: float = self.nonlinear_values["motor_friction"]
-        if not share or self._model_along is None:
-            return 0.0
-        return share * self._model_along(motion).friction_torque(self.joint)
+        if not share or self._rigid_joint_model is None:
+            return np.zeros(len(motion.t))
+        return share * self._rigid_joint_model(motion).friction_torque(self.joint)
 
     def _displaced(self, motion: Motion, change: Array) -> Motion:
-        """Motion with changes of the joint's q, v and a, shape (3, N)."""
+        """Motion with changes added to the joint's q, v and a, shape (3, N) [rad or m, and per s and s²]."""
         q, v, a = motion.q.copy(), motion.v.copy(), motion.a.copy()
         q[self.joint] += change[0]
         v[self.joint] += change[1]
@@ -152,19 +183,20 @@ class JointElasticity(FixedJointEffect):
 
     @override
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
-        """Samples at the ends, beyond which the deflection's filter reaches, and those near the link's reversals.
+        """Samples whose deflection is not known: joint index to a mask of shape (N,).
 
-        When the link reverses is known as well as the filter resolves it, and dry friction jumps then.
+        On all joints, those at the ends, beyond which the deflection's low-pass reaches. On this joint also those near
+        reversals of the link, where dry friction jumps: their time is known to half a period of the cutoff frequency.
         """
         count = len(motion.t)
-        edge = min(_low_pass(_BANDS[0], motion.dt).edge, count)
+        edge = min(_low_pass(_possible_cutoffs(motion.dt)[0], motion.dt).edge, count)
         at_ends = np.zeros(count, dtype=bool)
         at_ends[:edge] = True
         at_ends[count - edge :] = True
         deflection = motion.motor_minus_link.get(self.joint, np.zeros((3, count)))
-        resolution = 0.5 / self._band(self._displaced(motion, deflection))
-        reach = max(round(resolution / motion.dt), 1)
-        near_reversals = ndimage.binary_dilation(reversals(motion.v[self.joint]), iterations=reach)
+        cutoff = self._highest_clear_frequency(self._displaced(motion, deflection))
+        half_period = 0.5 / max(cutoff, _CUTOFFS[0])  # a cutoff lowered to a low sampling rate does not lengthen it
+        near_reversals = _near_reversals(motion.v[self.joint], half_period, motion.dt)
         return dict.fromkeys(range(len(motion.q)), at_ends) | {self.joint: at_ends | near_reversals}
 
     @override
@@ -179,101 +211,173 @@ class JointElasticity(FixedJointEffect):
 
     @property
     def _retardation_time(self) -> float:
-        """Time by which the deflection lags the torque, as the spring's damper takes part of it [s]."""
-        inertia = self._rotor_inertia[self.joint, self.joint]
+        """Time constant D / K = 2 · 0.05 √(B / K) by which the damper makes the deflection lag the torque [s]."""
+        inertia = self._reflected_inertia[self.joint, self.joint]
         return float(2 * _DAMPING_RATIO * np.sqrt(inertia / self.nonlinear_values["stiffness"]))
 
-    def _deflection(
-        self, motion: Motion, motor_friction: Array | float, retardation_time: float = 0.0
-    ) -> tuple[Array, Array, Array]:
-        """Deflection and its first two derivatives, shape (N,), from the friction on the motor side."""
+    def _deflection(self, motion: Motion, motor_friction_torque: Array, retardation_time: float = 0.0) -> Array:
+        """Deflection and its first two time derivatives, shape (3, N) [rad or m, and per s and s²].
+
+        Steps 2 to 5 of the class.
+
+        Parameters
+        ----------
+        motion
+            Motion of the motor.
+        motor_friction_torque
+            Friction torque on the motor side, shape (N,) [N·m or N].
+        retardation_time
+            Time constant of the deflection's lag [s]; 0: no lag.
+        """
         dt = motion.dt
-        carried = motion.tau[self.joint] - self._rotor_torque(motion) - motor_friction
-        low_pass = _low_pass(self._band(motion), dt)
-        if np.any(motor_friction):
-            reach = max(round(_REVERSAL_GAP / dt), 1)
-            near_reversals = ndimage.binary_dilation(reversals(motion.v[self.joint]), iterations=reach)
-            carried = _continued(carried, near_reversals, low_pass)
+        transmitted = motion.tau[self.joint] - self._rotor_torque(motion) - motor_friction_torque
+        low_pass = _low_pass(self._highest_clear_frequency(motion), dt)
+        if motor_friction_torque.any():
+            # Friction jumps where the motor reverses, and the transmitted torque does not.
+            near_reversals = _near_reversals(motion.v[self.joint], _REVERSAL_GAP, dt)
+            transmitted = _fill_gaps(transmitted, near_reversals, low_pass)
         if retardation_time:
-            carried = _lagged(carried, retardation_time, dt)
-        margin = 2 * DIFFERENCE_REACH
-        q = _smoothed(carried, low_pass, margin)[None] / self.nonlinear_values["stiffness"]
+            transmitted = _first_order_lag(transmitted, retardation_time, dt)
+
+        # Each derivative loses samples at both ends: the deflection is continued beyond the data by what two lose.
+        lost = DIFFERENCE_REACH
+        q = _smoothed(transmitted, low_pass, margin=2 * lost)[None] / self.nonlinear_values["stiffness"]
         v = differentiate(q, dt)
         a = differentiate(v, dt)
-        return q[0, margin:-margin], v[0, margin // 2 : -(margin // 2)], a[0]
+        return np.concatenate([q[:, 2 * lost : -2 * lost], v[:, lost:-lost], a])
 
     def _rotor_torque(self, motion: Motion) -> Array:
-        """Torque that the rotors take of the joint's, shape (N,) [N·m or N]."""
-        return np.asarray(self._rotor_inertia[self.joint] @ motion.a)
+        """Torque that accelerates the joint's rotors, shape (N,) [N·m or N]."""
+        return np.asarray(self._reflected_inertia[self.joint] @ motion.a)
 
-    def _band(self, motion: Motion) -> float:
-        """Frequency up to which the carried torque stands above its noise [Hz].
+    def _highest_clear_frequency(self, motion: Motion) -> float:
+        """Highest frequency at which the transmitted torque is above its noise, one of `_possible_cutoffs` [Hz].
 
-        Beyond, the deflection's second derivative is mostly noise: that of the torque, which is white, and that of the
-        acceleration, which increases with the frequency.
+        Beyond, the deflection's second derivative would be mostly noise. Friction on the motor side is not subtracted
+        from the torque here.
         """
         torque = motion.logged_tau[self.joint]
         rotor_torque = self._rotor_torque(motion)
         f, powers = _power_density(np.stack([torque, rotor_torque, torque - rotor_torque]), motion.dt)
-        torque_power, rotor_power, carried_power = powers
-        # Not all above the motion is noise: what an encoder's steps make a drive do is torque.
-        octaves = [(f > top / 2) & (f <= top) for top in _octave_tops(motion.dt)]
-        octaves = [octave for octave in octaves if octave.any()]
-        torque_noise = min((np.median(torque_power[octave]) for octave in octaves), default=0.0)
-        differentiated = [octave for octave in octaves if f[octave].max() < _MAX_DIFFERENTIATED / motion.dt]
-        rotor_noise = min((np.median(rotor_power[octave] / f[octave] ** 2) for octave in differentiated), default=0.0)
-        noise = torque_noise + rotor_noise * f**2
-        best = _BANDS[0]
-        for band in _BANDS[1:]:
-            octave = (f > band / 2) & (f <= band)
-            is_clear = octave.any() and carried_power[octave].mean() > _CLEAR * noise[octave].max()
-            if is_clear and band < _MAX_BAND / motion.dt:
-                best = band
-        return best
+        torque_power, rotor_power, transmitted_power = powers
+        noise_power = _noise_power_density(f, torque_power, rotor_power, motion.dt)
+
+        highest, *higher_cutoffs = _possible_cutoffs(motion.dt)
+        for cutoff in higher_cutoffs:
+            octave = _octave_below(cutoff, f)
+            if not octave.any():
+                continue
+            if transmitted_power[octave].mean() > _MIN_SIGNAL_TO_NOISE * noise_power[octave].max():
+                highest = cutoff
+        return highest
+
+
+def _possible_cutoffs(dt: float) -> list[float]:
+    """Those of `_CUTOFFS` that the sampling rate allows, ascending; the lowest is lowered to what it allows [Hz]."""
+    limit = _MAX_CUTOFF / dt
+    return [min(_CUTOFFS[0], limit), *(cutoff for cutoff in _CUTOFFS[1:] if cutoff < limit)]
+
+
+def _noise_power_density(f: Array, torque_power: Array, rotor_power: Array, dt: float) -> Array:
+    """Power density of the transmitted torque's noise at the frequencies f [Hz], shape (F,) [(N·m)²/Hz or N²/Hz].
+
+    The noise of the measured torque is taken as white: its density is constant. That of the rotors' torque is the noise
+    of the acceleration, taken as a derivative of white noise: its density increases with f². Both levels are medians
+    in the quietest octave, since not all above the motion is noise: what an encoder's steps make a drive do is torque.
+
+    Parameters
+    ----------
+    f
+        Frequencies [Hz], shape (F,).
+    torque_power, rotor_power
+        Power density of the measured torque, and of what the rotors take of it, shape (F,).
+    dt
+        Sample time [s].
+    """
+    octaves = [_octave_below(top, f) for top in _octave_tops(dt)]
+    octaves = [octave for octave in octaves if octave.any()]
+    torque_level = min((np.median(torque_power[octave]) for octave in octaves), default=0.0)
+
+    differentiable = [octave for octave in octaves if f[octave].max() < _MAX_DIFFERENTIABLE / dt]
+    rotor_level = min((np.median(rotor_power[octave] / f[octave] ** 2) for octave in differentiable), default=0.0)
+    return np.asarray(torque_level + rotor_level * f**2)
 
 
 def _octave_tops(dt: float) -> list[float]:
-    """Upper ends of the octaves in which noise is looked for, the bands' and those above [Hz]."""
-    tops = [*_BANDS, *(_BANDS[-1] * 2**k for k in range(1, 5))]
+    """Upper ends of the octaves in which noise is looked for, from the lowest cutoff on [Hz]."""
+    tops = [*_CUTOFFS, *(_CUTOFFS[-1] * 2**k for k in range(1, 5))]
     return [top for top in tops if top < 0.5 / dt]
 
 
+def _octave_below(top: float, f: Array) -> Mask:
+    """True for the frequencies of the octave that ends at ``top`` [Hz], shape (F,)."""
+    return (f > top / 2) & (f <= top)
+
+
 def _power_density(x: Array, dt: float) -> tuple[Array, Array]:
-    """Frequencies, shape (F,), and power density of signals, shape (m, N), at each, shape (m, F)."""
-    f, power = welch(x, 1 / dt, nperseg=min(_SPECTRUM, x.shape[-1]))
+    """Power density of signals x, shape (m, N), by Welch's method.
+
+    Returns
+    -------
+    Frequencies [Hz], shape (F,), and the power density of each signal, shape (m, F) [its unit squared per Hz].
+    """
+    f, power = welch(x, 1 / dt, nperseg=min(_WELCH_SAMPLES, x.shape[-1]))
     return np.asarray(f), np.asarray(power)
 
 
+def _reflected_inertia(model: RobotModel) -> Array:
+    """Reflected inertia of the rotors by their prior, shape (nv, nv) [kg·m² or kg].
+
+    It is the torque on each joint per acceleration of each: a rotor with the inertia I about its own axis, which turns
+    by ratios · q, takes the torque I ratios (ratios · d²q/dt²).
+    """
+    nv = len(model.joints)
+    inertia = np.zeros((nv, nv))
+    for body in model.bodies:
+        if body.kind == "rotor":
+            axial = float(body.axis @ symmetric_matrix(body.pi[4:]) @ body.axis)
+            inertia += axial * np.outer(body.ratios, body.ratios)
+    return inertia
+
+
+def _near_reversals(v: Array, time: float, dt: float) -> Mask:
+    """Samples within a time [s] of a reversal of the velocity, and at least the two on each side of it, shape (N,)."""
+    reach = max(round(time / dt), 1)
+    return ndimage.binary_dilation(reversals(v), iterations=reach)
+
+
 def _smoothed(x: Array, low_pass: LowPass, margin: int = 0) -> Array:
-    """A signal after a low-pass, continued beyond both ends by a margin, shape (N + 2 margin,)."""
+    """A signal of shape (N,) after a low-pass, and continued beyond both ends by a margin, shape (N + 2 margin,)."""
     padded = np.pad(x, low_pass.reach + margin, mode="reflect", reflect_type="odd")
     return np.asarray(low_pass(padded[None], low_pass.reach, low_pass.reach)[0])
 
 
-def _continued(x: Array, gap: Mask, low_pass: LowPass) -> Array:
-    """A signal continued within its band over gaps, shape (N,).
+def _fill_gaps(x: Array, gap: Mask, low_pass: LowPass) -> Array:
+    """A signal that is continued within the low-pass's band over gaps, where its samples are not used; shape (N,).
 
-    Papoulis (1975) and Gerchberg (1974): the low-pass of the whole is taken in the gaps, from straight lines on.
+    A straight line over each gap first; then, repeatedly, the low-pass of the whole signal. Gerchberg, Super-resolution
+    through error energy reduction, Optica Acta 21 (1974); Papoulis, A new algorithm in spectral analysis and
+    band-limited extrapolation, IEEE Transactions on Circuits and Systems 22 (1975).
     """
     if gap.all():
         return x
     sample = np.arange(len(x))
-    continued = x.copy()
-    continued[gap] = np.interp(sample[gap], sample[~gap], x[~gap])
+    filled = x.copy()
+    filled[gap] = np.interp(sample[gap], sample[~gap], x[~gap])
     for _ in range(_GAP_ITERATIONS):
-        continued[gap] = _smoothed(continued, low_pass)[gap]
-    return continued
+        filled[gap] = _smoothed(filled, low_pass)[gap]
+    return filled
 
 
-def _lagged(x: Array, time: float, dt: float) -> Array:
-    """First-order lag of a signal, by the trapezoidal rule, shape (N,)."""
-    numerator = np.array([dt, dt]) / (2 * time + dt)
-    denominator = np.array([1.0, (dt - 2 * time) / (2 * time + dt)])
-    start = lfilter_zi(numerator, denominator) * x[0]
-    y, _ = lfilter(numerator, denominator, x, zi=start)
+def _first_order_lag(x: Array, time_constant: float, dt: float) -> Array:
+    """Solution y of time_constant · dy/dt + y = x by the trapezoidal rule, from the steady state on, shape (N,)."""
+    numerator = np.array([dt, dt]) / (2 * time_constant + dt)
+    denominator = np.array([1.0, (dt - 2 * time_constant) / (2 * time_constant + dt)])
+    steady_state = lfilter_zi(numerator, denominator) * x[0]
+    y, _ = lfilter(numerator, denominator, x, zi=steady_state)
     return np.asarray(y)
 
 
 @cache
-def _low_pass(band: float, dt: float) -> LowPass:
-    return LowPass(min(band, _MAX_BAND / dt), _ORDER, dt)
+def _low_pass(cutoff: float, dt: float) -> LowPass:
+    return LowPass(cutoff, _ORDER, dt)
