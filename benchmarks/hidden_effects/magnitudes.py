@@ -242,13 +242,14 @@ def _motor_and_link_inertia(size: EffectSize) -> tuple[float, float]:
 
 
 def _transmission(size: EffectSize, stiffness: float, damping_ratio: float) -> dict[str, float]:
-    """Parameters of a transmission; with probability 1/2, half of the friction is on the motor side."""
+    """Parameters of a transmission; with probability 1/2, a share of the friction is on the motor side."""
+    share = size.rng.uniform(0.1, 0.9)
     motor_inertia, _ = _motor_and_link_inertia(size)
     damping = 2 * damping_ratio * np.sqrt(stiffness * motor_inertia)
     return {
         "stiffness": stiffness,
         "damping": float(damping),
-        "motor_friction": float(size.rng.choice([0.0, 0.5])),
+        "motor_friction": float(size.rng.choice([0.0, share])),
     }
 
 

@@ -44,6 +44,7 @@ from idtool.diagnosis.trial import (
 )
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import Burst, DataSummary
+from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
@@ -51,6 +52,8 @@ from idtool.estimation.dataset.experiment import Progress
 Bursts = tuple[Burst, ...]
 
 _MAX_REFINED = 7  # candidates that are screened again on a finer grid
+_STARTS_ON_GRID = 3  # probes that are refined of a candidate whose residual jumps with its parameters
+_REFINEMENTS = 2  # times, since the best value of a parameter depends on that of another
 _REFINEMENT_POINTS = 7  # values that are screened again between the neighbours of a value in the grid
 _MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, those that are then rejected included
 _MIN_GAIN_RATIO = 0.4  # to the gain of the best accepted candidate, for a candidate to be fitted
@@ -117,12 +120,34 @@ def _screen_all(
 
 def _refine(base: LinearizedFit, screened: Sequence[ScreenedProbe], progress: Progress) -> list[ScreenedProbe]:
     """Best probe of each promising candidate, the largest gain first; the best candidates on a finer grid."""
-    best = best_by_key(_promising(screened))
-    to_refine = _by_gain(best.values())[:_MAX_REFINED]
-    finer_probes = list(_refined_probes(to_refine, screened))
-    refined = screen_probes(base, finer_probes, progress, "fitting candidates")
-    best = best_by_key([*best.values(), *_promising(refined)])
-    return _by_gain(best.values())
+    promising = _promising(screened)
+    refined: list[ScreenedProbe] = []
+    for _ in range(_REFINEMENTS):
+        starts = [start for start in _refinement_starts(promising) if start not in refined]
+        finer_probes = list(_refined_probes(starts, screened))
+        promising += _promising(screen_probes(base, finer_probes, progress, "fitting candidates"))
+        refined += starts
+    return _by_gain(best_by_key(promising).values())
+
+
+def _refinement_starts(promising: Sequence[ScreenedProbe]) -> list[ScreenedProbe]:
+    """Probes about which the grid is refined: the best of each of the best candidates.
+
+    Of a candidate whose residual jumps with its parameters, there are several, since a coarse grid may miss the best.
+    """
+    starts = []
+    for best in _by_gain(best_by_key(promising).values())[:_MAX_REFINED]:
+        key = probe_key(best.probe)
+        of_candidate = _by_gain(one for one in promising if probe_key(one.probe) == key)
+        count = _STARTS_ON_GRID if _is_searched_on_grid(best.probe.effect) else 1
+        starts += of_candidate[:count]
+    return starts
+
+
+def _is_searched_on_grid(effect: str) -> bool:
+    """True if the residual jumps with parameters of an effect, so that they are searched for on a grid."""
+    kind = effect_types()[effect]
+    return issubclass(kind, JointEffect) and bool(kind.grid_parameters())
 
 
 def _fit_best_candidates(
@@ -293,7 +318,8 @@ def _by_gain(screened: Iterable[ScreenedProbe]) -> list[ScreenedProbe]:
 def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[ScreenedProbe]) -> Iterator[Probe]:
     """Probes of the candidates on a finer grid: of each, with one nonlinear value changed at a time.
 
-    A parameter that names another joint, and one of which a single value was screened, is not changed.
+    A parameter that names another joint, one of which a single value was screened, and one whose value is not of the
+    grid any more, is not changed.
 
     Parameters
     ----------
@@ -308,7 +334,7 @@ def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[Scre
         joint_parameters = effect_types()[probe.effect].joint_parameters()
         for name, value in probe.nonlinear_values.items():
             grid = sorted({other.nonlinear_values[name] for other in alike})
-            if name in joint_parameters or len(grid) == 1:
+            if name in joint_parameters or len(grid) == 1 or value not in grid:
                 continue
             for refined in _refined_values(value, grid):
                 yield probe.at({**probe.nonlinear_values, name: refined})

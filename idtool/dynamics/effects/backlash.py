@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +25,7 @@ _DAMPING_RATIO = 0.5
 _MIN_WIDTH = 3e-4  # rad or m: what gears have
 _MAX_WIDTH = 0.12  # rad or m: what would be felt by hand
 _TRIALS = 6  # the search tries finer ones around the best
-_TRIAL_SHARES = (0.0, 1.0)  # of motor friction
+_TRIAL_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MIN_COEFFICIENT = 0.25  # share of the change that the width makes
 _MAX_COEFFICIENT = 3.0
 _WIDTH_BLUR = (0.85, 0.93, 1.0, 1.08, 1.17)  # factors of the width that are averaged
@@ -153,7 +154,8 @@ def _motor_in_play(
     acceleration = carried / np.maximum(inertia, _MIN_INERTIA)
 
     width = nonlinear_values["width"]
-    positions = [_simulate_play(acceleration, factor * width, motion.dt) for factor in _WIDTH_BLUR]
+    widths = [factor * width for factor in _WIDTH_BLUR]
+    positions = _simulate_play(acceleration, widths, motion.dt)
     position = np.mean(positions, axis=0)
     pole = np.exp(-motion.dt / _TEETH_LAG)
     for _ in range(2):
@@ -161,32 +163,51 @@ def _motor_in_play(
     return np.asarray(position)
 
 
-def _simulate_play(acceleration: Array, width: float, dt: float) -> Array:
-    """Position of the motor within a play, in [−width/2, width/2], under an acceleration; shape (N,)."""
-    driven_up = np.flatnonzero(acceleration[:-1] > 0)
-    driven_down = np.flatnonzero(acceleration[:-1] < 0)
+def _simulate_play(acceleration: Array, widths: Sequence[float], dt: float) -> list[Array]:
+    """Position of the motor within plays, each in [−width/2, width/2], under an acceleration; shape (N,) each."""
+    driven_up = np.flatnonzero(acceleration[:-1] > 0).tolist()
+    driven_down = np.flatnonzero(acceleration[:-1] < 0).tolist()
     accelerations = acceleration.tolist()
+    return [_simulate_one_play(accelerations, driven_up, driven_down, width / 2, dt) for width in widths]
+
+
+def _simulate_one_play(
+    accelerations: Sequence[float], driven_up: Sequence[int], driven_down: Sequence[int], half: float, dt: float
+) -> Array:
+    """`_simulate_play` of one play.
+
+    Parameters
+    ----------
+    accelerations
+        Acceleration of the motor relative to the link.
+    driven_up, driven_down
+        Samples where it is above and below 0, ascending.
+    half
+        Half the width.
+    dt
+        Time between samples [s].
+    """
     count = len(accelerations)
-    half = width / 2
     out = np.empty(count)
     side = 1 if accelerations[0] > 0 else -1
     k = 0
     while k < count:
         # The teeth stay in contact until they are driven apart.
         leaving = driven_down if side > 0 else driven_up
-        following = int(np.searchsorted(leaving, k))
-        parting = int(leaving[following]) if following < len(leaving) else count
+        following = bisect_left(leaving, k)
+        parting = leaving[following] if following < len(leaving) else count
         out[k:parting] = side * half
 
-        k = parting
         x = side * half
         v = 0.0
-        while k < count:
+        apart = []
+        for k in range(parting, count):
             v += accelerations[k] * dt
             x += v * dt
             if not -half < x < half:
                 side = 1 if x > 0 else -1
                 break
-            out[k] = x
-            k += 1
+            apart.append(x)
+        k = parting + len(apart)
+        out[parting:k] = apart
     return out
