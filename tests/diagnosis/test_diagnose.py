@@ -85,6 +85,21 @@ def test_friction_that_rises_at_low_speed_is_named_and_closes_the_gap(stribeck: 
     assert power_after < 0.1 * power_before
 
 
+def test_play_with_friction_on_the_motor_side_is_found_in_both_parameters(folder: Path) -> None:
+    """The best width on a coarse grid is another one with a wrong share of friction."""
+    case = Case("backlash", "planar2", (HiddenEffect("backlash", "elbow", None, "strong"),), 718, "refit", 20.0)
+    files = write_case(case, folder / "backlash")
+    true = truth(files)
+    assert 0.1 < true["motor_friction"] < 0.9
+    report = diagnosed(files, folder / "backlash")
+    assert named(report) == [("backlash", "elbow")]
+    assert report["verdict"] == "explained"
+    (step,) = report["steps"]
+    assert step["parameters"]["width"] == pytest.approx(true["width"], rel=0.3)
+    assert step["parameters"]["motor_friction"] == pytest.approx(true["motor_friction"], abs=0.2)
+    assert report["after"]["validation"]["overall"] < 0.7 * report["before"]["validation"]["overall"]
+
+
 def test_what_is_written_is_the_model_that_was_found(stribeck: CaseFiles, folder: Path) -> None:
     out = folder / "again"
     report = diagnosed(stribeck, out, "--no-simulation")
