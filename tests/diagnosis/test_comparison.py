@@ -249,6 +249,10 @@ def test_what_cannot_be_paired_is_refused(pair: Path, tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "out")
     both = ("simulator/run1.csv", "--against", "simulator/run1.csv")
     refuse(tmp_path, *command, *both, naming="2 simulated for 1 measured", file="--against")
+    for name in ("robot/run1.csv", "robot/run2.csv"):  # a copy
+        shutil.rmtree(tmp_path / "out")
+        naming = f"{name}: is the same recording as the robot's log run1.csv; as --against, give the simulator's"
+        refuse(tmp_path, *command, name, naming=naming)
 
 
 def test_what_cannot_be_patched_is_refused(pair: Path, tmp_path: Path) -> None:
