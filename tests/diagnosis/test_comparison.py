@@ -151,6 +151,12 @@ def test_a_robot_that_is_the_simulator_needs_no_change(pair: Path) -> None:
     done = idtool("export", "same", "--patch", "scene.xml", "--out", "same.xml", folder=pair)
     assert done.out.startswith("nothing to change in the file\n")
     assert (pair / "same.xml").read_text() == MJCF
+    (pair / "same.xml").write_text("patched earlier")
+    done = idtool("export", "same", "--patch", "scene.xml", "--out", "same.xml", folder=pair)
+    assert done.out.endswith("not written: same.xml is left as it was\n")
+    assert (pair / "same.xml").read_text() == "patched earlier"
+    done = idtool("export", "same", "--patch", "scene.xml", "--out", "same.xml", "--json", folder=pair)
+    assert done.json["file"] is None
 
 
 @pytest.mark.slow
