@@ -20,6 +20,7 @@ from rich.console import Console
 from idtool.diagnosis.diagnose import _verdict
 from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary
 from idtool.diagnosis.words import step_sentence, with_doubts
+from idtool.dynamics.effects import effect_types
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report, gap_closed
 from idtool.reporting.results.diagnosis import DiagnosisReport
@@ -355,6 +356,7 @@ def asked(found: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> list[Asked]:
 
 
 LOG = LEG.with_name("leg_train.mcap")
+EFFECTS = ", ".join(id for id, kind in effect_types().items() if kind.reportable)
 
 
 def test_the_command_writes_its_files_and_its_report_alone_to_standard_output(
@@ -408,6 +410,31 @@ def test_options_that_cannot_be(tmp_path: Path, asked: list[Asked], options: lis
     done = idtool("diagnose", LEG, LOG, *options, folder=tmp_path)
     assert (done.code, done.out) == (2, "")
     assert done.err.startswith(f"error: {error}")
+    assert done.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == asked == []
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--effects", "noise"], f"--effects: noise is not an effect; available: {EFFECTS}\n"),
+        (
+            ["--effects", "end_stop backlash"],
+            "give effects alone, separated by commas, as in --effects end_stop,backlash;",
+        ),
+        (["--effects", "end_stop:knee"], "--assume takes an effect on a joint; did you mean end_stop? available: back"),
+        (["--assume", "endstop:knee"], f"did you mean end_stop? available: {EFFECTS}\n"),
+        (["--assume", "knee:end_stop"], "--assume: knee is not an effect; give end_stop:knee; "),
+        (["--assume", "end_stop=knee"], "--assume: end_stop=knee is not an effect; give end_stop:knee; "),
+        (["--assume", "end_stop:kne"], "did you mean knee? available: abad, hip, knee\n"),
+        (["--assume", "end_stop"], "end_stop acts on a joint; give end_stop:JOINT; available: abad, hip, knee\n"),
+        (["--assume", "gravity_tilt:hip"], "--assume: gravity_tilt acts on the whole robot; give gravity_tilt without"),
+    ],
+)
+def test_names_that_are_possible_are_listed(tmp_path: Path, asked: list[Asked], options: list[str], told: str) -> None:
+    done = idtool("diagnose", LEG, LOG, *options, folder=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert told in done.err
     assert done.err.count("\n") == 1
     assert list(tmp_path.iterdir()) == asked == []
 
