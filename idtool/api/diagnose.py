@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
 from idtool.api.data import Logs, LogSource, as_list, call_text, changed_options, load_experiment
 from idtool.api.effect_arguments import EffectAssumption, check_assumptions, parse_assumption, parse_candidates
@@ -22,7 +22,7 @@ from idtool.data.same_recording import is_same_recording
 from idtool.diagnosis.records import Diagnosis
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.reporting.diagnosis_report import diagnosis_report
-from idtool.reporting.diagnosis_text import owner_name
+from idtool.reporting.diagnosis_text import next_steps, owner_name
 from idtool.reporting.fit_report import model_config
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.diagnosis import DiagnosisReport
@@ -48,8 +48,13 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
         self, folder: str | os.PathLike[str], made_by: str | None = None, report_only: bool = False
     ) -> tuple[Path, ...]:
         """Write the files as `FitResult.save` does; ``report_only`` leaves out the model."""
-        omitted = (MODEL_YAML, IDENTIFIED_URDF) if report_only else ()
-        return self._write(folder, made_by, omitted)
+        if report_only:
+            return self._write(folder, made_by, (MODEL_YAML, IDENTIFIED_URDF))
+        return self.saved_in(Path(folder))._write(folder, made_by)
+
+    def saved_in(self, folder: Path) -> Self:
+        """The result with the model's folder in the commands of ``next``."""
+        return self.model_copy(update={"next": tuple(next_steps(self, folder))})
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
         from idtool.reporting.pages import diagnosis_page

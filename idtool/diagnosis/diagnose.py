@@ -258,6 +258,8 @@ def _step(
     parameters, errors = _parameters(effect, search)
     selection = effect.selection
     alike = [fitted_record(candidate, selection.base) for candidate in selection.indistinguishable]
+    experiment = current.experiment
+    distinguishing = distinguishing_experiment(effect.chosen, alike[0], experiment) if alike else ""
     step = DiagnosisStep(
         chosen=effect.chosen,
         entry=effect.entry,
@@ -266,7 +268,7 @@ def _step(
         location=location,
         significance=effect.chosen.significance,
         pair=bool(alike),
-        distinguishing_experiment=distinguishing_experiment(effect.chosen, alike[0]) if alike else "",
+        distinguishing_experiment=distinguishing,
         alternatives=selection.alternatives(),
         rejected=selection.rejected,
         before=errors_before,
@@ -274,7 +276,7 @@ def _step(
         sentence="",
         profile=profile,
     )
-    return replace(step, sentence=step_sentence(step, current.experiment.model.units))
+    return replace(step, sentence=step_sentence(step, experiment.model.units))
 
 
 def _fit_with_first_effects(search: EffectSearch, count: int) -> tuple[LinearizedFit | Fit, ErrorSummary]:

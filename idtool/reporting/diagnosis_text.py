@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 from idtool.diagnosis.comparison import COMMAND_DELAY
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
@@ -193,15 +195,18 @@ def against_summary(report: AgainstReport, unit: str, floor: float, stopped: str
     )
 
 
-def next_steps(report: DiagnosisReport) -> list[str]:
+def next_steps(report: DiagnosisReport, folder: Path | None = None) -> list[str]:
     """Suggested next steps, one sentence each.
 
     Parameters
     ----------
     report
         The content of diagnosis.json.
+    folder
+        Folder that the model is written to; None: it is not known.
     """
     steps = []
+    out = Path("OUT") if folder is None else folder
     if any(not fault.undone for fault in report.data_faults):
         steps.append(
             "First correct the data, or describe them correctly in the configuration, and then diagnose again."
@@ -215,17 +220,17 @@ def next_steps(report: DiagnosisReport) -> list[str]:
         what = f"{_no_effect(report)} explains the remaining residual on {_join_words(owners)}"
         steps.append(f"{_capitalized(what)}: see the residual maps in diagnosis.html.")
     if report.against is not None and report.against.changes and not report.stopped:
+        command = shlex.join(["idtool", "export", str(out), "--patch", "FILE"])
         steps.append(
-            "Make the changes in the simulator: idtool export OUT --patch FILE writes a copy of its MJCF or URDF with "
-            "those that the file can represent."
+            f"Make the changes in the simulator: `{command}` writes a copy of its MJCF or URDF with those that the "
+            "file can represent."
         )
     if "overall" in report.rollout_worse:
         steps.append("Do not simulate with this model yet: its rollouts are worse than those of the original model.")
     if report.verdict == "explained" and not steps:
-        steps.append(
-            "Check the final model on a log that was not used here: "
-            "idtool validate OUT/identified.urdf LOG --config OUT/model.yaml."
-        )
+        files = [str(out / "identified.urdf"), "LOG", "--config", str(out / "model.yaml")]
+        command = shlex.join(["idtool", "validate", *files])
+        steps.append(f"Check the final model on a log that was not used here: `{command}`.")
     return steps
 
 
