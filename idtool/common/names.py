@@ -24,6 +24,11 @@ def join_names(names: Collection[str], most: int = _MAX_LISTED) -> str:
     return f"{few} and {more} more" if more > 0 else few
 
 
+def count_text(number: int, noun: str) -> str:
+    """A number with its noun, in the plural but for one."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
 def suggestion(name: str, known: Collection[str]) -> str:
     """Hint for an unknown name: the most similar known one, or a list of the known ones."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)

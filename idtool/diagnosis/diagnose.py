@@ -361,8 +361,7 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
         if (effect_id, target) not in added:
             yield Notice("effect_failed", "warning", None, f"{effect_id} on {target} {reason}")
     if search.stopped:
-        message = f"{search.stopped}; the effects found by then are reported"
-        yield Notice("search_interrupted", "warning", None, message, "run it again for the rest")
+        yield _stopped_notice(search.stopped, len(search.reported))
     if search.reversal_joints:
         sizes = []
         for name, (rms, rms_away) in search.reversal_joints.items():
@@ -373,6 +372,19 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
             "steps of the search"
         )
         yield Notice("reversals_left_aside", "warning", None, message)
+
+
+def _stopped_notice(reason: str, count: int) -> Notice:
+    """Notice about a search that ended before it was complete, after it had found some effects."""
+    found = "no effect had been found by then"
+    if count:
+        found = "the effect found by then is reported" if count == 1 else "the effects found by then are reported"
+    advice = "run it again for the rest"
+    if reason.startswith("the search ended early"):  # a failure, which comes again
+        advice = (
+            "it ends in the same way if it is run again; correct the faults of the data, or search for fewer effects"
+        )
+    return Notice("search_interrupted", "warning", None, f"{reason}; {found}", advice)
 
 
 def _verdict(steps: Sequence[DiagnosisStep], is_floor_known: bool) -> Verdict:

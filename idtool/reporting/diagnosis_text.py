@@ -115,7 +115,9 @@ def _outcome(stopped: str) -> str:
 
 def _no_effect(report: DiagnosisReport) -> str:
     """The effects that explain nothing, as the subject of a clause."""
-    return "no known effect" if report.searched is None else "none of the effects searched for"
+    if report.searched is None:
+        return "no known effect"
+    return "no effect searched for" if len(report.searched) == 1 else "none of the effects searched for"
 
 
 def worse_motion(step: StepReport) -> list[str]:
@@ -187,10 +189,12 @@ def against_summary(report: AgainstReport, unit: str, floor: float, stopped: str
     bodies = [owner_name(change) for change in report.changes if change.effect == BODIES]
     differences = [_effect_on_owner(change) for change in effects]
     if bodies:
-        differences.append(f"the inertia of the links ({', '.join(bodies)})")
+        links = "link" if len(bodies) == 1 else "links"
+        differences.append(f"the inertia of the {links} ({', '.join(bodies)})")
     names = _join_words(differences)
+    changes = "this change" if len(report.changes) == 1 else "these changes"
     return (
-        f"{incomplete}Simulator and robot differ in {names}. With these changes, the simulator's torque error on the "
+        f"{incomplete}Simulator and robot differ in {names}. With {changes}, the simulator's torque error on the "
         f"robot's logs goes from {before:.3g} to {after:.3g} {unit} RMS."
     )
 
