@@ -12,6 +12,7 @@ import numpy as np
 from idtool.common.notice import Notice, unique
 from idtool.diagnosis.confirmation import estimate_on_parts, linear_parameters
 from idtool.diagnosis.data_faults import find_data_faults
+from idtool.diagnosis.data_faults.torque_scale import check_torques
 from idtool.diagnosis.doubts import doubt_about
 from idtool.diagnosis.effect_order import order_effects
 from idtool.diagnosis.effect_profile import effect_profile
@@ -94,6 +95,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         If the logs or the model cannot be used, or an effect cannot be where it is assumed.
     """
     started = time.perf_counter()
+    check_torques(experiment)
     experiment, delay = with_unbiased_delay(experiment, progress)
     experiment = replace(experiment, cache=BatchCache())
     before_search = Stages(interrupted=False)
