@@ -6,21 +6,23 @@ import os
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
 from idtool.api.data import Logs, LogSource, as_list, call_text, changed_options, load_experiment
 from idtool.api.effect_arguments import EffectAssumption, check_assumptions, parse_assumption, parse_candidates
 from idtool.api.log import Log
 from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, as_model, identified_urdf_text
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
-from idtool.common.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError, LogError
+from idtool.common.names import printable
 from idtool.common.outputs import as_json, as_yaml
 from idtool.data.logs import read_log
 from idtool.data.pairing import check_joints, paired_paths
+from idtool.data.same_recording import is_same_recording
 from idtool.diagnosis.records import Diagnosis
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.reporting.diagnosis_report import diagnosis_report
-from idtool.reporting.diagnosis_text import owner_name
+from idtool.reporting.diagnosis_text import next_steps, owner_name
 from idtool.reporting.fit_report import model_config
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.diagnosis import DiagnosisReport
@@ -46,8 +48,13 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
         self, folder: str | os.PathLike[str], made_by: str | None = None, report_only: bool = False
     ) -> tuple[Path, ...]:
         """Write the files as `FitResult.save` does; ``report_only`` leaves out the model."""
-        omitted = (MODEL_YAML, IDENTIFIED_URDF) if report_only else ()
-        return self._write(folder, made_by, omitted)
+        if report_only:
+            return self._write(folder, made_by, (MODEL_YAML, IDENTIFIED_URDF))
+        return self.saved_in(Path(folder))._write(folder, made_by)
+
+    def saved_in(self, folder: Path) -> Self:
+        """The result with the model's folder in the commands of ``next``."""
+        return self.model_copy(update={"next": tuple(next_steps(self, folder))})
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
         from idtool.reporting.pages import diagnosis_page
@@ -217,7 +224,13 @@ def _path(log: LogSource) -> Path:
 
 
 def _simulator_experiment(model: Model, logs: Sequence[LogSource], robot: Experiment, holdout: float) -> Experiment:
-    """The simulator's logs with the model, for the joints of the robot's logs."""
+    """The simulator's logs with the model, for the joints of the robot's logs.
+
+    Raises
+    ------
+    LogError
+        If one of them cannot be used, or is the robot's own recording.
+    """
     settings = model.settings
     joints = robot.model.names
     options = settings.log
@@ -226,4 +239,9 @@ def _simulator_experiment(model: Model, logs: Sequence[LogSource], robot: Experi
         record = log.record if isinstance(log, Log) else read_log(log, topic=options.topic, columns=options.columns)
         check_joints(record, joints)
         records.append(record)
+    for record, run in zip(records, robot.runs, strict=False):  # the robot's logs for validation have no partner
+        measured = run.signals.log
+        if is_same_recording(record, measured):
+            what = f"is the same recording as the robot's log {printable(measured.path.name)}"
+            raise LogError(record.path, f"{what}; as --against, give the simulator's log under the same commands")
     return prepare(model.robot, settings.model_copy(update={"joints": list(joints)}), records, (), holdout)

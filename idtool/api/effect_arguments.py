@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Sequence
 
 from idtool.common.exceptions import ConfigError
-from idtool.common.names import printable, suggestion
+from idtool.common.names import join_names, printable, suggestion
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.link_effect import LinkEffect
 from idtool.robot.model import RobotModel
 
 EffectAssumption = tuple[str, str | None]
+
+_MAX_NAMES = 40  # in a message: all effects, and the joints of most robots
+_SEPARATOR = re.compile(r"[\s:=,;+]+")  # that may stand between names
 
 
 def parse_candidates(effects: Sequence[str]) -> tuple[str, ...]:
@@ -22,7 +26,7 @@ def parse_candidates(effects: Sequence[str]) -> tuple[str, ...]:
     ConfigError
         If one is no effect.
     """
-    return tuple(dict.fromkeys(_check_effect("--effects", name.strip()) for name in effects))
+    return tuple(dict.fromkeys(_check_effect("--effects", name.strip(), name) for name in effects))
 
 
 def parse_assumption(text: str | EffectAssumption, option: str = "--assume") -> EffectAssumption:
@@ -42,18 +46,38 @@ def parse_assumption(text: str | EffectAssumption, option: str = "--assume") -> 
     """
     if not isinstance(text, str):
         effect, owner = text
-        return _check_effect(option, effect), owner
+        return _check_effect(option, effect, effect), owner
     effect, colon, name = text.partition(":")
-    return _check_effect(option, effect.strip()), name if colon else None
+    return _check_effect(option, effect.strip(), text), name if colon else None
 
 
-def _check_effect(option: str, effect: str) -> str:
+def _check_effect(option: str, effect: str, text: str) -> str:
+    """The effect, if there is one of this name; ``text`` is the whole of what was given."""
     names = [id for id, kind in effect_types().items() if kind.reportable]
-    if effect not in names:
-        raise ConfigError(
-            option, f"{printable(effect) or 'an empty name'} is not an effect; {suggestion(effect, names)}"
-        )
-    return effect
+    if effect in names:
+        return effect
+    name = printable(effect) or "an empty name"
+    raise ConfigError(option, f"{name} is not an effect; {_intended(option, text, names)}{_possible(effect, names)}")
+
+
+def _intended(option: str, text: str, names: Sequence[str]) -> str:
+    """Advice if one of the words is an effect, to be put before other advice; empty if not."""
+    words = [word for word in _SEPARATOR.split(text) if word]
+    effects = [word for word in words if word in names]
+    others = [word for word in words if word not in names]
+    if option == "--effects" and effects:
+        form = f"give effects alone, separated by commas, as in --effects {','.join(effects)}"
+        return f"{form}; --assume takes an effect on a joint; " if others else f"{form}; "
+    if len(effects) == len(others) == 1:
+        return f"give {effects[0]}:{printable(others[0])}; "
+    return ""
+
+
+def _possible(name: str, names: Collection[str]) -> str:
+    """The most similar name, if there is one, and all that are possible."""
+    available = f"available: {join_names(names, _MAX_NAMES)}"
+    hint = suggestion(name, names)
+    return f"{hint} {available}" if hint.endswith("?") else available
 
 
 def check_assumptions(assumptions: Sequence[EffectAssumption], model: RobotModel, option: str = "--assume") -> None:
@@ -71,19 +95,22 @@ def check_assumptions(assumptions: Sequence[EffectAssumption], model: RobotModel
     Raises
     ------
     ConfigError
-        If it lacks one.
+        If it lacks one, or an effect acts on the whole robot.
     """
     for effect, owner in assumptions:
         kind = effect_types()[effect]
+        if not issubclass(kind, LinkEffect | JointEffect):
+            if owner is not None:
+                raise ConfigError(option, f"{effect} acts on the whole robot; give {effect} without a name")
+            continue
         names: Collection[str] = model.names
         what = "joint"
         if issubclass(kind, LinkEffect):
             names = model.robot.links
             what = "link"
-        if owner is None and issubclass(kind, LinkEffect | JointEffect):
-            raise ConfigError(option, f"{effect} acts on a {what}; give {effect}:{what.upper()}")
-        if owner is not None and owner not in names:
-            raise ConfigError(
-                option,
-                f"{printable(owner) or 'an empty name'} is not a {what} of the model; {suggestion(owner, names)}",
-            )
+        if owner is None:
+            form = f"give {effect}:{what.upper()}"
+            raise ConfigError(option, f"{effect} acts on a {what}; {form}; available: {join_names(names, _MAX_NAMES)}")
+        if owner not in names:
+            name = printable(owner) or "an empty name"
+            raise ConfigError(option, f"{name} is not a {what} of the model; {_possible(owner, names)}")

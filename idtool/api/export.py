@@ -40,7 +40,7 @@ class ExportResult(ExportReport):
         return self._folder / self._name
 
     def save(self, file: str | os.PathLike[str] | None = None) -> Path:
-        """Write the file.
+        """Write the file; a patched file in which nothing is to be changed replaces none that is there.
 
         Parameters
         ----------
@@ -58,8 +58,13 @@ class ExportResult(ExportReport):
         """
         path = self.default_file if file is None else Path(file)
         check_file(path, self._inputs)
-        write_all(path.parent, {path.name: self._text})
+        if not self.leaves(path):
+            write_all(path.parent, {path.name: self._text})
         return path
+
+    def leaves(self, file: Path) -> bool:
+        """True if `save` leaves a file as it is: a copy without a change would replace what was written earlier."""
+        return self.patched is not None and not self.carried and file.exists()
 
     def __repr__(self) -> str:
         kinds = dict.fromkeys(part.what for part in self.carried)

@@ -11,7 +11,7 @@ from pathlib import Path
 from idtool.api.model import Source
 from idtool.api.results import Progress, ignore_progress, notice_lines
 from idtool.common.names import stem
-from idtool.common.outputs import OutputError, write_all
+from idtool.common.outputs import OutputError, check_file, write_all
 from idtool.common.safe_yaml import read_yaml
 from idtool.data.robot_source import read_robot_and_logs
 from idtool.reporting.results.base import notice_fields
@@ -127,15 +127,9 @@ def check_configuration(file: Path, inputs: Sequence[Path], force: bool) -> None
     OutputError
         If not.
     """
-    if any(file.resolve() == path.resolve() for path in inputs):
-        raise OutputError(file, "is an input file; give another --out")
-    if file.is_dir():
-        raise OutputError(file, "is a folder; give a file as --out")
+    check_file(file, inputs)
     if file.exists() and not force:
         raise OutputError(file, "already exists; use --force to overwrite it, or choose another --out")
-    folder = next(folder for folder in file.absolute().parents if folder.exists())
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-        raise OutputError(folder, "cannot be written to; give another --out")
 
 
 def _next_command(draft: InitialConfig, file: Path, inputs: Sequence[Path], is_default_path: bool) -> str:

@@ -67,6 +67,8 @@ def _print_error(message: str) -> int:
 
 def _usage_message(error: TyperException) -> str:
     """A mistake in the command's words as one line."""
+    if getattr(error, "option_name", None) == "--decide":
+        return f"--decide: {excite.NEEDS_TWO}"
     text = " ".join(error.format_message().split()).rstrip(".")
     context = getattr(error, "ctx", None)
     command = context.command_path if context else "idtool"

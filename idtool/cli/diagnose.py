@@ -79,6 +79,8 @@ def diagnose_command(
             progress=progress,
         )
         progress("writing", 0.0)
+        if not report_only:
+            result = result.saved_in(folder)
         files = result.save(folder, command_line(), report_only)
         if rerun:
             result.rerun(rerun)

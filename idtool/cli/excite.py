@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -23,6 +24,26 @@ from idtool.cli.options import (
 from idtool.common.exceptions import ConfigError
 
 _ALL_JOINTS = ""  # an option's value for all joints
+NEEDS_TWO = (  # of --decide
+    "needs two explanations, EFFECT:JOINT each or a configuration with effects; "
+    "for example --decide backlash:hip payload:shank"
+)
+_CONFIGURATION_ENDINGS = (".yaml", ".yml")
+
+
+def _check_two(explanations: tuple[str, str] | None) -> tuple[str, str] | None:
+    """The explanations as given, unless one is the option or file that stands behind the only one.
+
+    Raises
+    ------
+    ConfigError
+        If there is only one.
+    """
+    for text in explanations or ():
+        is_other_file = os.path.isfile(text) and not text.endswith(_CONFIGURATION_ENDINGS)
+        if text.startswith("-") or is_other_file:
+            raise ConfigError("--decide", NEEDS_TWO)
+    return explanations
 
 
 @app.command(
@@ -78,6 +99,7 @@ def excite_command(
         typer.Option(
             metavar="A B",
             help="Optimize for deciding between two explanations: EFFECT:JOINT each, or a configuration with effects.",
+            callback=_check_two,
         ),
     ] = None,
     as_json: JsonOption = False,

@@ -56,7 +56,9 @@ def export_command(
     with terminal.progress() as progress:
         progress("reading", 0.0)
         result = export(folder, to, rotor_bodies=rotor_bodies, patch=patch)
-        file = result.save(out)
-    report = result.model_copy(update={"file": str(file)})
-    show_export(terminal, report)
+        file = out or result.default_file
+        is_left = result.leaves(file)
+        result.save(file)
+    report = result.model_copy(update={"file": None if is_left else str(file)})
+    show_export(terminal, report, file)
     finish(terminal, report, {})

@@ -51,11 +51,13 @@ def require_log(context: typer.Context, logs: Any) -> Any:
 
 
 def _check_rerun(file: Path | None) -> Path | None:
-    """The file as given; ConfigError if rerun is missing, before any work is done."""
+    """The file as given; an error, before any work is done, if rerun is missing or the file cannot be written."""
     if file is not None:
+        from idtool.common.outputs import check_file
         from idtool.reporting.rerun_recording import rerun_package
 
         rerun_package()
+        check_file(file, [], "--rerun")
     return file
 
 

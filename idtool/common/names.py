@@ -17,11 +17,16 @@ def printable(name: str) -> str:
     return short if short.isprintable() else ascii(short)[1:-1]
 
 
-def join_names(names: Collection[str]) -> str:
-    """The first few names, separated by commas, and the number of those left out."""
-    few = ", ".join(map(printable, list(names)[:_MAX_LISTED])) or "none"
-    more = len(names) - _MAX_LISTED
+def join_names(names: Collection[str], most: int = _MAX_LISTED) -> str:
+    """The first ``most`` names, separated by commas, and the number of those left out."""
+    few = ", ".join(map(printable, list(names)[:most])) or "none"
+    more = len(names) - most
     return f"{few} and {more} more" if more > 0 else few
+
+
+def count_text(number: int, noun: str) -> str:
+    """A number with its noun, in the plural but for one."""
+    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def suggestion(name: str, known: Collection[str]) -> str:

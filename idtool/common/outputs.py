@@ -54,8 +54,15 @@ def write_all(folder: Path, files: Mapping[str, str | bytes]) -> None:
         raise OutputError(folder, f"cannot be written to ({error.strerror}); give another --out") from None
 
 
-def check_folder(folder: Path) -> None:
+def check_folder(folder: Path, option: str = "--out") -> None:
     """Check, before the work is done, that files can be written into a folder.
+
+    Parameters
+    ----------
+    folder
+        The folder, which need not exist.
+    option
+        Option that it is given with, for messages.
 
     Raises
     ------
@@ -63,15 +70,28 @@ def check_folder(folder: Path) -> None:
         If they can't.
     """
     paths = (folder, *folder.absolute().parents)
-    existing = next((path for path in paths if os.path.exists(path)), Path("/"))
+    existing = next((path for path in paths if os.path.lexists(path)), Path("/"))
     if not existing.is_dir():
-        raise OutputError(existing, "is a file, but a folder is needed; give another --out")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise OutputError(folder, "cannot be written to (Permission denied); give another --out")
+        kind = "a file" if os.path.exists(existing) else "a link to nothing"
+        raise OutputError(existing, f"is {kind}, but a folder is needed; give another {option}")
+    try:
+        with tempfile.TemporaryDirectory(dir=existing, prefix=".idtool-"):
+            pass  # permissions alone do not tell: some file systems take no files from anyone
+    except OSError as error:
+        raise OutputError(folder, f"cannot be written to ({error.strerror}); give another {option}") from None
 
 
-def check_file(file: Path, inputs: Iterable[Path]) -> None:
+def check_file(file: Path, inputs: Iterable[Path], option: str = "--out") -> None:
     """Check, before the work is done, that a file can be written and is not one of the inputs.
+
+    Parameters
+    ----------
+    file
+        The file, which need not exist.
+    inputs
+        Files that are read.
+    option
+        Option that it is given with, for messages.
 
     Raises
     ------
@@ -79,7 +99,7 @@ def check_file(file: Path, inputs: Iterable[Path]) -> None:
         If it can't, or is.
     """
     if any(file.resolve() == path.resolve() for path in inputs):
-        raise OutputError(file, "is an input file; give another --out")
+        raise OutputError(file, f"is an input file; give another {option}")
     if os.path.isdir(file):
-        raise OutputError(file, "is a folder; give a file as --out")
-    check_folder(file.parent)
+        raise OutputError(file, f"is a folder; give a file as {option}")
+    check_folder(file.parent, option)

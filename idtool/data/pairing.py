@@ -11,7 +11,7 @@ from scipy.signal import correlate
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
-from idtool.common.names import join_names, printable, stem
+from idtool.common.names import count_text, join_names, printable, stem
 from idtool.data.logs.bag import METADATA
 from idtool.data.logs.log import JointLog
 
@@ -73,8 +73,10 @@ def paired_paths(logs: Sequence[Path], against: Sequence[Path]) -> list[Path]:
     if len(against) == 1 and _is_folder_of_logs(against[0]):
         return [_partner(log, against[0]) for log in logs]
     if len(against) != len(logs):
-        what = f"{len(against)} simulated for {len(logs)} measured logs; give one for each, in the same order"
-        raise ConfigError(_OPTION, f"{what}, or a folder with logs of the same names")
+        what = f"{len(against)} simulated for {count_text(len(logs), 'measured log')}"
+        raise ConfigError(
+            _OPTION, f"{what}; give one for each, in the same order, or a folder with logs of the same names"
+        )
     return list(against)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
-from idtool.common.names import join_names
+from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
 from idtool.data.channels import Channels
 from idtool.data.column_cache import KeptColumns
@@ -224,7 +224,9 @@ class Signals:
                 f"{self.band_hz:g} Hz filter and the derivatives need",
             )
         if len(long_enough) < len(ranges):
-            message = f"{len(ranges) - len(long_enough)} segments between gaps were too short for the filter"
+            count = len(ranges) - len(long_enough)
+            were = "was" if count == 1 else "were"
+            message = f"{count_text(count, 'segment')} between gaps {were} too short for the filter"
             advice = "if there are many of them, find out why samples are lost"
             notice = Notice("short_stretches", "note", None, message, advice)
             if notice not in self.notices:

@@ -12,6 +12,7 @@ import numpy as np
 from idtool.common.notice import Notice, unique
 from idtool.diagnosis.confirmation import estimate_on_parts, linear_parameters
 from idtool.diagnosis.data_faults import find_data_faults
+from idtool.diagnosis.data_faults.torque_scale import check_torques
 from idtool.diagnosis.doubts import doubt_about
 from idtool.diagnosis.effect_order import order_effects
 from idtool.diagnosis.effect_profile import effect_profile
@@ -94,6 +95,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         If the logs or the model cannot be used, or an effect cannot be where it is assumed.
     """
     started = time.perf_counter()
+    check_torques(experiment)
     experiment, delay = with_unbiased_delay(experiment, progress)
     experiment = replace(experiment, cache=BatchCache())
     before_search = Stages(interrupted=False)
@@ -258,6 +260,8 @@ def _step(
     parameters, errors = _parameters(effect, search)
     selection = effect.selection
     alike = [fitted_record(candidate, selection.base) for candidate in selection.indistinguishable]
+    experiment = current.experiment
+    distinguishing = distinguishing_experiment(effect.chosen, alike[0], experiment) if alike else ""
     step = DiagnosisStep(
         chosen=effect.chosen,
         entry=effect.entry,
@@ -266,7 +270,7 @@ def _step(
         location=location,
         significance=effect.chosen.significance,
         pair=bool(alike),
-        distinguishing_experiment=distinguishing_experiment(effect.chosen, alike[0]) if alike else "",
+        distinguishing_experiment=distinguishing,
         alternatives=selection.alternatives(),
         rejected=selection.rejected,
         before=errors_before,
@@ -274,7 +278,7 @@ def _step(
         sentence="",
         profile=profile,
     )
-    return replace(step, sentence=step_sentence(step, current.experiment.model.units))
+    return replace(step, sentence=step_sentence(step, experiment.model.units))
 
 
 def _fit_with_first_effects(search: EffectSearch, count: int) -> tuple[LinearizedFit | Fit, ErrorSummary]:
@@ -366,8 +370,7 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
         if (effect_id, target) not in added:
             yield Notice("effect_failed", "warning", None, f"{effect_id} on {target} {reason}")
     if search.stopped:
-        message = f"{search.stopped}; the effects found by then are reported"
-        yield Notice("search_interrupted", "warning", None, message, "run it again for the rest")
+        yield _stopped_notice(search.stopped, len(search.reported))
     if search.reversal_joints:
         sizes = []
         for name, (rms, rms_away) in search.reversal_joints.items():
@@ -378,6 +381,19 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
             "steps of the search"
         )
         yield Notice("reversals_left_aside", "warning", None, message)
+
+
+def _stopped_notice(reason: str, count: int) -> Notice:
+    """Notice about a search that ended before it was complete, after it had found some effects."""
+    found = "no effect had been found by then"
+    if count:
+        found = "the effect found by then is reported" if count == 1 else "the effects found by then are reported"
+    advice = "run it again for the rest"
+    if reason.startswith("the search ended early"):  # a failure, which comes again
+        advice = (
+            "it ends in the same way if it is run again; correct the faults of the data, or search for fewer effects"
+        )
+    return Notice("search_interrupted", "warning", None, f"{reason}; {found}", advice)
 
 
 def _verdict(steps: Sequence[DiagnosisStep], is_floor_known: bool) -> Verdict:

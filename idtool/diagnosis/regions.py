@@ -306,7 +306,9 @@ def _angle_region(residual: JointResidual, valid: Mask, total: float) -> Iterato
     peak = int(np.argmax(np.where(is_ripple, amplitude, 0.0)))
     turn = "per 2π m" if residual.is_prismatic[j] else "per turn"
     score = min(amplitude[peak] ** 2 / 2 / total, 1.0)
-    yield Region(score, "angle", f"at {n[peak]:.3g} periods {turn}{residual.suffix}", valid)
+    number = f"{n[peak]:.3g}"
+    periods = "period" if number == "1" else "periods"
+    yield Region(score, "angle", f"at {number} {periods} {turn}{residual.suffix}", valid)
 
 
 def distance_since_reversal(series: ResidualSeries, j: int, velocity_deadband: float) -> Array:

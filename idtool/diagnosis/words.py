@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from idtool.diagnosis.records import Candidate, DiagnosisStep
 from idtool.dynamics.effects import effect_types
+from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import RobotModel
 
@@ -104,12 +106,25 @@ def unproven_sentence(removed: Candidate, reason: str) -> str:
     )
 
 
-def distinguishing_experiment(first: Candidate, second: Candidate) -> str:
-    """Motion that would distinguish two effects."""
+def distinguishing_experiment(first: Candidate, second: Candidate, experiment: Experiment) -> str:
+    """Motion that would distinguish two effects, and the command that designs it for the robot and its logs."""
     kinds = effect_types()
     hints = [f"{kinds[candidate.effect].excitation_hint} ({candidate.effect})" for candidate in (first, second)]
-    experiment = f"log {hints[0]}, and {hints[1]}"
+    motion = f"log {hints[0]}, and {hints[1]}"
     if any(kinds[candidate.effect].acts_in_bursts for candidate in (first, second)):
-        return experiment  # no motion can be designed for what acts whatever the motion
+        return motion  # no motion can be designed for what acts whatever the motion
     names = [":".join(filter(None, (one.effect, one.joint or one.link))) for one in (first, second)]
-    return f"{experiment}; or design the motion: `idtool excite URDF --log LOG --decide {names[0]} {names[1]}`"
+    command = shlex.join([*_excite_words(experiment), "--decide", *names])
+    return f"{motion}; or design the motion: `{command}`"
+
+
+def _excite_words(experiment: Experiment) -> list[str]:
+    """Words of the command that designs a motion to complement the training logs; LOG for one that is no file."""
+    words = ["idtool", "excite", str(experiment.model.robot.path)]
+    source = experiment.config.source
+    if source is not None:
+        words += ["--config", source.path]
+    logs = [run.signals.log for run in experiment.runs if run.train]
+    for path in dict.fromkeys(str(log.path) if log.sources else "LOG" for log in logs):
+        words += ["--log", path]
+    return words

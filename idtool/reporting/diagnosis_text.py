@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 from idtool.diagnosis.comparison import COMMAND_DELAY
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
@@ -112,7 +114,9 @@ def _outcome(stopped: str) -> str:
 
 def _no_effect(report: DiagnosisReport) -> str:
     """The effects that explain nothing, as the subject of a clause."""
-    return "no known effect" if report.searched is None else "none of the effects searched for"
+    if report.searched is None:
+        return "no known effect"
+    return "no effect searched for" if len(report.searched) == 1 else "none of the effects searched for"
 
 
 def worse_motion(step: StepReport) -> list[str]:
@@ -184,23 +188,28 @@ def against_summary(report: AgainstReport, unit: str, floor: float, stopped: str
     bodies = [owner_name(change) for change in report.changes if change.effect == BODIES]
     differences = [_effect_on_owner(change) for change in effects]
     if bodies:
-        differences.append(f"the inertia of the links ({', '.join(bodies)})")
+        links = "link" if len(bodies) == 1 else "links"
+        differences.append(f"the inertia of the {links} ({', '.join(bodies)})")
     names = _join_words(differences)
+    changes = "this change" if len(report.changes) == 1 else "these changes"
     return (
-        f"{incomplete}Simulator and robot differ in {names}. With these changes, the simulator's torque error on the "
+        f"{incomplete}Simulator and robot differ in {names}. With {changes}, the simulator's torque error on the "
         f"robot's logs goes from {before:.3g} to {after:.3g} {unit} RMS."
     )
 
 
-def next_steps(report: DiagnosisReport) -> list[str]:
+def next_steps(report: DiagnosisReport, folder: Path | None = None) -> list[str]:
     """Suggested next steps, one sentence each.
 
     Parameters
     ----------
     report
         The content of diagnosis.json.
+    folder
+        Folder that the model is written to; None: it is not known.
     """
     steps = []
+    out = Path("OUT") if folder is None else folder
     if any(not fault.undone for fault in report.data_faults):
         steps.append(
             "First correct the data, or describe them correctly in the configuration, and then diagnose again."
@@ -214,17 +223,17 @@ def next_steps(report: DiagnosisReport) -> list[str]:
         what = f"{_no_effect(report)} explains the remaining residual on {_join_words(owners)}"
         steps.append(f"{_capitalized(what)}: see the residual maps in diagnosis.html.")
     if report.against is not None and report.against.changes and not report.stopped:
+        command = shlex.join(["idtool", "export", str(out), "--patch", "FILE"])
         steps.append(
-            "Make the changes in the simulator: idtool export OUT --patch FILE writes a copy of its MJCF or URDF with "
-            "those that the file can represent."
+            f"Make the changes in the simulator: `{command}` writes a copy of its MJCF or URDF with those that the "
+            "file can represent."
         )
     if "overall" in report.rollout_worse:
         steps.append("Do not simulate with this model yet: its rollouts are worse than those of the original model.")
     if report.verdict == "explained" and not steps:
-        steps.append(
-            "Check the final model on a log that was not used here: "
-            "idtool validate OUT/identified.urdf LOG --config OUT/model.yaml."
-        )
+        files = [str(out / "identified.urdf"), "LOG", "--config", str(out / "model.yaml")]
+        command = shlex.join(["idtool", "validate", *files])
+        steps.append(f"Check the final model on a log that was not used here: `{command}`.")
     return steps
 
 

@@ -9,6 +9,11 @@ from commands import LEG, SAMPLES, TRAIN, csv_text, idtool, refuse, sample_table
 
 FIT, VALIDATION = ["fit", LEG, "log.csv", "--out", "out"], ["validate", LEG, "log.csv", "--out", "out"]
 
+TWO = (
+    "error: --decide: needs two explanations, EFFECT:JOINT each or a configuration with effects; for example "
+    "--decide backlash:hip payload:shank\n"
+)
+
 WORDS: dict[str, tuple[list[object], str]] = {
     "unknown command": (["fitt", LEG, "log.csv"], "fitt"),
     "unknown option": ([*FIT, "--hold", "0.3"], "--hold"),
@@ -17,6 +22,10 @@ WORDS: dict[str, tuple[list[object], str]] = {
     "fit without arguments": (["fit"], "missing argument 'URDF'"),
     "fit without a log": (["fit", LEG, "--out", "out"], "missing argument 'LOG'"),
     "validate without a log": (["validate", LEG, "--out", "out"], "logs"),
+    "one explanation at the end": (["excite", LEG, "--decide", "parallel_spring:hip"], TWO),
+    "one explanation before the URDF": (["excite", "--decide", "parallel_spring:hip", LEG], TWO),
+    "one explanation before an option": (["excite", LEG, "--decide", "parallel_spring:hip", "--duration", "5"], TWO),
+    "no explanation": (["excite", LEG, "--decide"], TWO),
     "inspect without a log": (["inspect"], "missing argument 'LOG'"),
     "inspect with two logs": (["inspect", TRAIN, TRAIN], "argument"),
     "regression with options": (["validate", "--max-rms", "0.1"], "urdf"),

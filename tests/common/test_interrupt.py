@@ -127,6 +127,23 @@ def test_an_output_that_cannot_be_is_refused_before_the_work_is_done(tmp_path: P
         assert (done.code, done.err) == (2, "error: file: is a file, but a folder is needed; give another --out\n")
 
 
+@pytest.mark.parametrize(
+    ("place", "what"),
+    [
+        ("link", "is a link to nothing, but a folder is needed"),
+        ("link/below", "is a link to nothing, but a folder is needed"),
+        ("/proc/idtool", "cannot be written to (No such file or directory)"),
+    ],
+)
+def test_a_place_that_takes_no_files_is_noticed_before_the_logs_are_read(place: str, what: str, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to("nowhere")
+    for command in ("fit", "diagnose", "study", "adapt", "validate"):
+        done = idtool(command, LEG, "none.mcap", "--out", place, folder=tmp_path)
+        assert (done.code, done.out) == (2, "")
+        assert done.err.endswith(f"{what}; give another --out\n")
+        assert [path.name for path in tmp_path.iterdir()] == ["link"]
+
+
 def test_an_interrupt_during_the_work_is_said_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def hit(*arguments: object) -> None:
         raise KeyboardInterrupt

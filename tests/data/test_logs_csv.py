@@ -241,7 +241,7 @@ def test_no_line_end_is_no_cut(written: Written) -> None:
         ),
         ("t,q_hip\n", "has no samples after the header line"),
         ("t,q_hip", "has no samples after the header line"),
-        ("t,q_hip\n1,2\n", "has 1 samples; at least two are needed"),
+        ("t,q_hip\n1,2\n", "has 1 sample; at least two are needed"),
         ("\n\n", "is not a log: its first line has no joint signal (columns: none)"),
         ("Lorem ipsum\ndolor\n", "is not a log: its first line has no joint signal (columns: Lorem ipsum)"),
         ("0,1\n1,2\n", "is not a log: its first line has no joint signal (columns: 0, 1)"),

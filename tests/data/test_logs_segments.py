@@ -85,7 +85,7 @@ def test_joints_that_lack_a_signal() -> None:
     ("t", "q", "said"),
     [
         ([0, 1], [np.nan, np.nan], "no joint positions found"),
-        ([0], [1], "has 1 samples; at least two are needed"),
+        ([0], [1], "has 1 sample; at least two are needed"),
         ([0, 0, 0], [1, 2, 3], "time does not advance"),
         ([2, 1, 0], [1, 2, 3], "time does not advance"),
         ([0, np.nan, np.inf], [1, 2, 3], "time does not advance"),

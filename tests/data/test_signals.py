@@ -156,7 +156,7 @@ def test_a_stretch_too_short_for_the_filter_is_left_out_and_said() -> None:
     signals = signals_of(swinging(t))
     assert len(signals.ranges) == 1
     assert signals.ranges[0].stop < 2980
-    assert "1 segments between gaps were too short for the filter" in sentences(signals.notices)
+    assert "1 segment between gaps was too short for the filter" in sentences(signals.notices)
 
 
 @pytest.mark.parametrize("rate", [100.0, 500.0])

@@ -151,6 +151,12 @@ def test_a_robot_that_is_the_simulator_needs_no_change(pair: Path) -> None:
     done = idtool("export", "same", "--patch", "scene.xml", "--out", "same.xml", folder=pair)
     assert done.out.startswith("nothing to change in the file\n")
     assert (pair / "same.xml").read_text() == MJCF
+    (pair / "same.xml").write_text("patched earlier")
+    done = idtool("export", "same", "--patch", "scene.xml", "--out", "same.xml", folder=pair)
+    assert done.out.endswith("not written: same.xml is left as it was\n")
+    assert (pair / "same.xml").read_text() == "patched earlier"
+    done = idtool("export", "same", "--patch", "scene.xml", "--out", "same.xml", "--json", folder=pair)
+    assert done.json["file"] is None
 
 
 @pytest.mark.slow
@@ -249,6 +255,10 @@ def test_what_cannot_be_paired_is_refused(pair: Path, tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "out")
     both = ("simulator/run1.csv", "--against", "simulator/run1.csv")
     refuse(tmp_path, *command, *both, naming="2 simulated for 1 measured", file="--against")
+    for name in ("robot/run1.csv", "robot/run2.csv"):  # a copy
+        shutil.rmtree(tmp_path / "out")
+        naming = f"{name}: is the same recording as the robot's log run1.csv; as --against, give the simulator's"
+        refuse(tmp_path, *command, name, naming=naming)
 
 
 def test_what_cannot_be_patched_is_refused(pair: Path, tmp_path: Path) -> None:

@@ -272,7 +272,8 @@ def test_a_budget_ends_the_search(arm: Experiment) -> None:
     found = diagnose(arm, Options(effects=EFFECTS, simulate=False, budget=0.0), silent)
     assert named(found) == set()
     (notice,) = [notice for notice in found.notices if notice.code == "search_interrupted"]
-    assert notice.message.startswith("the search reached its time limit")
+    assert notice.message == "the search reached its time limit; no effect had been found by then"
+    assert notice.advice == "run it again for the rest"
     assert found.stopped == "the search reached its time limit"
     words = summary(diagnosis_report(found, "refit"))
     assert words.startswith(
@@ -281,12 +282,33 @@ def test_a_budget_ends_the_search(arm: Experiment) -> None:
     assert diagnose(arm, Options(effects=EFFECTS, simulate=False, budget=1e6), silent).verdict == "explained"
 
 
+@pytest.mark.parametrize("assumed", [(), (SPRING,), (SPRING, OFFSET)])
+def test_a_search_that_failed_is_not_to_be_run_again(
+    arm: Experiment, monkeypatch: pytest.MonkeyPatch, assumed: tuple[tuple[str, str], ...]
+) -> None:
+    def fail(search: EffectSearch) -> None:
+        raise SolverError("solver", "gave up")
+
+    monkeypatch.setattr(EffectSearch, "_run", fail)
+    found = diagnose(arm, Options(effects=EFFECTS, simulate=False, assumed=assumed), silent)
+    (notice,) = [notice for notice in found.notices if notice.code == "search_interrupted"]
+    reported = (
+        "no effect had been found by then",
+        "the effect found by then is reported",
+        "the effects found by then are",
+    )
+    assert notice.message.startswith(f"the search ended early: gave up; {reported[len(assumed)]}")
+    assert notice.advice.startswith("it ends in the same way if it is run again")
+
+
 def test_a_search_for_some_effects_says_nothing_of_others(arm: Experiment) -> None:
     found = diagnose(arm, Options(effects=("payload",), simulate=False), silent)
     assert found.verdict == "unexplained"
     report = diagnosis_report(found, "refit")
-    assert "none of the effects searched for explains the difference on j1 and j2" in report.summary
-    assert report.next[0].startswith("None of the effects searched for explains the remaining residual on j1 and j2")
+    assert "no effect searched for explains the difference on j1 and j2" in report.summary
+    assert report.next[0].startswith("No effect searched for explains the remaining residual on j1 and j2")
+    two = replace(found, searched=("payload", "end_stop"))
+    assert "none of the effects searched for explains" in diagnosis_report(two, "refit").summary
 
 
 def test_effects_beside_a_fault_of_the_data_are_doubtful(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:

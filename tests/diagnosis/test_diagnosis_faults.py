@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 from paths import CHECKOUT, REAL
 from spatial_arm import ARM, JOINTS, recorded, reference, spec_of
 
+from idtool.common.exceptions import LogError
 from idtool.data.logs.log import JointLog, make_log
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.data_faults.channel_fit import ChannelFit
+from idtool.diagnosis.data_faults.torque_scale import check_torques
+from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import parse_config, read_config
 from idtool.robot.urdf.reading import read_robot
@@ -420,3 +423,39 @@ def test_the_real_logs() -> None:
     (fault,) = find_data_faults(prepare(read_robot(REAL / "go2" / "go2.urdf"), config, logs), silent)
     assert (fault.code, fault.subject) == ("time_jitter", None)
     assert "3 more logs" in fault.message
+
+
+@pytest.mark.parametrize("joint", range(3))
+def test_a_torque_in_a_millionth_of_its_unit_ends_the_diagnosis_at_once(joint: int) -> None:
+    def scale(signals: Signals) -> None:
+        signals["tau"][:, joint] *= 1e6
+
+    name = ("abad", "hip", "knee")[joint]
+    with pytest.raises(
+        LogError, match=rf"leg_train\.mcap: tau of joint {name} cannot be right: it is 1e\+06 times the"
+    ):
+        diagnose(sample("leg", scale), Options(simulate=False, budget=0.0), silent)
+
+
+def test_a_torque_is_not_refused_for_another_unit_a_spike_or_friction_alone() -> None:
+    def scale(signals: Signals) -> None:
+        signals["tau"][:, 1] *= 1e3
+
+    def spike(signals: Signals) -> None:
+        signals["tau"][5000, 1] = 1e9
+
+    def rest(signals: Signals) -> None:
+        signals["tau"][:, [0, 2]] *= 1e-6  # two joints whose motors are off
+
+    for change in (scale, spike, rest):
+        check_torques(sample("leg", change))
+
+
+@needs_data
+def test_no_torque_of_real_robots_is_refused() -> None:
+    """Friction is many times the rigid torque of the last joints."""
+    panda, go2 = REAL / "panda", REAL / "go2"
+    config = read_config(CHECKOUT / "configs" / "panda.yaml")
+    check_torques(prepare(read_robot(panda / "panda.urdf"), config, [panda / "excitation.mcap"]))
+    config = read_config(CHECKOUT / "configs" / "go2.yaml").model_copy(update={"rotors": {}})
+    check_torques(prepare(read_robot(go2 / "go2.urdf"), config, [go2 / f"chirp_{k}.csv" for k in (4, 5)]))

@@ -108,7 +108,8 @@ def test_diagnose_calls_a_pair_and_then_decides(tmp_path: Path) -> None:
     assert step.evidence.pair
     assert {step.effect, step.alternatives[0].effect} == {DRAG.true, DRAG.other}
     a, b = DRAG.explanations
-    assert step.evidence.separate.endswith(f"`idtool excite URDF --log LOG --decide {a} {b}`")
+    command = f"idtool excite {files.urdf} --config {files.config} --log {files.log} --decide {a} {b}"
+    assert step.evidence.separate.endswith(f"`{command}`")
 
     result = idtool.excite(model, logs=files.log, decide=DRAG.explanations, duration=20.0)
     result.save(tmp_path / "motion.csv")

@@ -19,7 +19,8 @@ from rich.console import Console
 
 from idtool.diagnosis.diagnose import _verdict
 from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary
-from idtool.diagnosis.words import step_sentence, with_doubts
+from idtool.diagnosis.words import distinguishing_experiment, step_sentence, with_doubts
+from idtool.dynamics.effects import effect_types
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report, gap_closed
 from idtool.reporting.results.diagnosis import DiagnosisReport
@@ -300,7 +301,8 @@ def test_what_to_do_next(found: Diagnosis) -> None:
     assert second.startswith(wanted)
     assert third.startswith("No known effect explains the remaining residual on knee")
     (text,) = report_of(replace(found, steps=(step_of(pair=False, alternatives=()),)))["next"]
-    assert text.startswith("Check the final model on a log that was not used here: idtool validate")
+    model = "`idtool validate OUT/identified.urdf LOG --config OUT/model.yaml`."
+    assert text == f"Check the final model on a log that was not used here: {model}"
 
 
 def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> None:
@@ -354,7 +356,36 @@ def asked(found: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> list[Asked]:
     return options
 
 
+def test_the_command_that_distinguishes_two_effects_has_the_real_paths(found: Diagnosis) -> None:
+    experiment = found.last.experiment
+    pair = (candidate("stribeck_friction"), candidate("load_dependent_friction", joint="knee joint"))
+    (log,) = [str(run.signals.log.path) for run in experiment.runs if run.train]
+    assert distinguishing_experiment(*pair, experiment).endswith(
+        f"; or design the motion: `idtool excite {LEG} --config {LEG.with_suffix('.yaml')} --log {log} "
+        "--decide stribeck_friction:hip 'load_dependent_friction:knee joint'`"
+    )
+
+
+@pytest.mark.parametrize("report_only", [False, True])
+def test_the_next_command_has_the_folder_that_the_model_was_written_to(
+    tmp_path: Path, asked: list[Asked], found: Diagnosis, monkeypatch: pytest.MonkeyPatch, report_only: bool
+) -> None:
+    done = replace(found, steps=(step_of(pair=False, alternatives=()),))
+    instead = SimpleNamespace(Options=Asked, diagnose=lambda *_: done)
+    monkeypatch.setitem(sys.modules, "idtool.diagnosis.diagnose", instead)
+    options = ["--report-only"] if report_only else []
+    run = idtool("diagnose", LEG, LOG, "--out", "my out", "--json", *options, folder=tmp_path)
+    model = "'my out/identified.urdf' LOG --config 'my out/model.yaml'"
+    if report_only:
+        model = "OUT/identified.urdf LOG --config OUT/model.yaml"
+    (text,) = run.json["next"]
+    assert text.endswith(f": `idtool validate {model}`.")
+    assert f"next: {text}" in run.err
+    assert json.loads((tmp_path / "my out" / "diagnosis.json").read_text())["next"] == [text]
+
+
 LOG = LEG.with_name("leg_train.mcap")
+EFFECTS = ", ".join(id for id, kind in effect_types().items() if kind.reportable)
 
 
 def test_the_command_writes_its_files_and_its_report_alone_to_standard_output(
@@ -408,6 +439,31 @@ def test_options_that_cannot_be(tmp_path: Path, asked: list[Asked], options: lis
     done = idtool("diagnose", LEG, LOG, *options, folder=tmp_path)
     assert (done.code, done.out) == (2, "")
     assert done.err.startswith(f"error: {error}")
+    assert done.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == asked == []
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--effects", "noise"], f"--effects: noise is not an effect; available: {EFFECTS}\n"),
+        (
+            ["--effects", "end_stop backlash"],
+            "give effects alone, separated by commas, as in --effects end_stop,backlash;",
+        ),
+        (["--effects", "end_stop:knee"], "--assume takes an effect on a joint; did you mean end_stop? available: back"),
+        (["--assume", "endstop:knee"], f"did you mean end_stop? available: {EFFECTS}\n"),
+        (["--assume", "knee:end_stop"], "--assume: knee is not an effect; give end_stop:knee; "),
+        (["--assume", "end_stop=knee"], "--assume: end_stop=knee is not an effect; give end_stop:knee; "),
+        (["--assume", "end_stop:kne"], "did you mean knee? available: abad, hip, knee\n"),
+        (["--assume", "end_stop"], "end_stop acts on a joint; give end_stop:JOINT; available: abad, hip, knee\n"),
+        (["--assume", "gravity_tilt:hip"], "--assume: gravity_tilt acts on the whole robot; give gravity_tilt without"),
+    ],
+)
+def test_names_that_are_possible_are_listed(tmp_path: Path, asked: list[Asked], options: list[str], told: str) -> None:
+    done = idtool("diagnose", LEG, LOG, *options, folder=tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert told in done.err
     assert done.err.count("\n") == 1
     assert list(tmp_path.iterdir()) == asked == []
 

@@ -22,11 +22,13 @@ FRICTION = {
 }
 
 
-def export(folder: Path, text: str, changes: list[ChangeReport] | None, *effects: dict[str, Any]) -> Export:
-    (folder / "arm.urdf").write_text(URDF)
-    identified = model_of(folder / "arm.urdf", friction=FRICTION, effects=list(effects))
-    (folder / "scene.xml").write_text(text)
-    return patch_file(identified, folder / "scene.xml", changes)
+def export(
+    folder: Path, text: str, changes: list[ChangeReport] | None, *effects: dict[str, Any], name: str = "scene.xml"
+) -> Export:
+    (folder / "model.urdf").write_text(URDF)
+    identified = model_of(folder / "model.urdf", friction=FRICTION, effects=list(effects))
+    (folder / name).write_text(text)
+    return patch_file(identified, folder / name, changes)
 
 
 def change(effect: str, owner: str | None, link: str | None = None, **values: tuple[Any, Any]) -> ChangeReport:
@@ -69,6 +71,39 @@ def test_a_spring_is_in_the_units_of_the_file(tmp_path: Path, angle: str | None,
     at = model.joint("elbow").id
     assert model.jnt_stiffness[at].ravel()[0] == 7.0
     assert model.qpos_spring[at] == pytest.approx(0.5, rel=1e-5)  # 0.4 from the URDF's zero, which is at ref
+
+
+def test_values_that_the_file_has_already_are_no_changes(tmp_path: Path) -> None:
+    rotor = {"effect": "rotor_inertia", "joint": "elbow", "parameters": {"inertia": 0.05}}
+    for name, root in (("scene.xml", MJCF), ("arm.urdf", URDF)):
+        first = export(tmp_path, root, None, rotor, name=name)
+        assert {part.what for part in first.carried} >= {"viscous_friction", "coulomb_friction"}
+        assert "inertial" not in {part.what for part in first.carried}  # they are those of the URDF
+        assert ("coulomb_friction", "shoulder") not in {
+            (part.what, part.of) for part in first.carried
+        }  # 0, the default
+        again = export(tmp_path, first.text.decode(), None, rotor, name=name)
+        assert again.carried == ()
+        assert again.text == first.text
+        assert [part.what for part in again.not_carried] == [part.what for part in first.not_carried]
+
+
+def test_a_value_that_is_not_written_may_be_another_default(tmp_path: Path) -> None:
+    none = change("coulomb_friction", "shoulder", coulomb=(0.1, 0.0))
+    result = export(tmp_path, MJCF, [none])
+    assert [part.detail for part in result.carried] == ["frictionloss default → 0.0"]
+    assert loaded(result).joint("shoulder").frictionloss[0] == 0.0
+    start, stop = MJCF.index("<default>"), MJCF.index("<worldbody>")
+    plain = (MJCF[:start] + MJCF[stop:]).replace(' childclass="arm"', "")
+    assert export(tmp_path, plain, [none]).text.decode() == plain
+
+
+@pytest.mark.parametrize("old", ["1.0", "1.0000000001", "1.001"])
+def test_an_inertial_is_a_change_if_it_differs_from_what_is_written(tmp_path: Path, old: str) -> None:
+    for name, root, mass in (("scene.xml", MJCF, 'mass="1" '), ("arm.urdf", URDF, '<mass value="1"/>')):
+        assert mass in root
+        result = export(tmp_path, root.replace(mass, mass.replace('"1"', f'"{old}"')), None, name=name)
+        assert ("inertial" in {part.what for part in result.carried}) == (old == "1.001")
 
 
 def test_what_the_robot_has_not_is_removed(tmp_path: Path) -> None:

@@ -104,7 +104,9 @@ def test_what_was_made_in_python_has_no_hash_and_says_so(folder: Path, tmp_path:
 
 def test_a_log_given_twice_counts_twice_and_that_is_said(folder: Path) -> None:
     done = idtool("fit", "leg.urdf", "bag", "bag", "--quick", "--json", "--quiet", folder=folder)
-    assert "run 1.mcap: the same log is given more than once; standard errors are too small" in done.json["warnings"]
+    (notice,) = [notice for notice in done.json["notices"] if notice["code"] == "duplicate_log"]
+    assert notice["message"] == "bag is given more than once"
+    assert notice["advice"].startswith("give it once: standard errors are too small")
 
 
 def test_a_mistake_in_the_configuration_names_its_file(folder: Path) -> None:

@@ -140,7 +140,7 @@ def test_next_command_names_a_file_that_lies_elsewhere(tmp_path: Path) -> None:
 
 def test_place_that_cannot_be_written_to_is_refused_before_anything_is_read(tmp_path: Path) -> None:
     urdf, log = robot(tmp_path), tmp_path / "none.csv"
-    where = {"naming": "cannot be written to; give another --out"}
+    where = {"naming": "is a file, but a folder is needed; give another --out"}
     refuse(tmp_path, "init", urdf, log, "--out", urdf / "deeper" / "x.yaml", file="arm.urdf", **where)
 
 

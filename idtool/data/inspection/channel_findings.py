@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from idtool.common.names import count_text
 from idtool.common.notice import Notice
 from idtool.data.inspection.records import FrozenStretches, InspectedJoint, Signal
-from idtool.data.inspection.text import count_text
 
 MAX_STUCK_SHARE = 0.005  # share of samples while moving: fewer may gather at a turning point
 MIN_STALE_SHARE = 0.02  # share of the samples while a channel changes: fewer are not worth a word

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from idtool.common.names import count_text
 from idtool.common.notice import Notice
 from idtool.data.inspection.records import FrozenStretches, InspectedJoint
-from idtool.data.inspection.text import count_text
 
 MAX_STANDSTILL = 0.5  # share of the time
 MAX_TRAVEL = 8 * np.pi  # rad: four turns are degrees, or a wheel

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from idtool.common.names import count_text
 from idtool.common.notice import Notice, Severity
 from idtool.data.inspection.records import Stamps
-from idtool.data.inspection.text import count_text
 
 MAX_JITTER = (
     0.1  # samples that a step is off: differencing neighbouring positions is then wrong by a tenth of the velocity

@@ -12,7 +12,7 @@ from typing import BinaryIO
 import numpy as np
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import join_names
+from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.columns import find_columns
 from idtool.data.logs.interleaved import make_log_of_complete_samples
@@ -73,7 +73,8 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
         advice = "if one of them is a joint signal, map it in log.columns of the configuration"
         notices.append(Notice("unused_columns", "note", None, message, advice))
     if empty_rows:
-        message = f"{empty_rows} rows without a joint signal were skipped"
+        were = "was" if empty_rows == 1 else "were"
+        message = f"{count_text(empty_rows, 'row')} without a joint signal {were} skipped"
         notices.append(Notice("unused_rows", "note", None, message))
     notices += convert_to_seconds(t)
     if table.truncated:

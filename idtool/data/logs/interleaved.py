@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.common.names import join_names
+from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.log import JointLog, make_log
 
@@ -48,10 +48,10 @@ def make_log_of_complete_samples(
     column_names = np.array([[f"{name}_{joint}" for joint in joints] for name in signals])
     removed = column_names[filled.any(axis=0) & ~pattern].tolist()
     if not rows.all():
-        removed.insert(0, f"{(~rows).sum()} samples")
+        removed.insert(0, count_text(int((~rows).sum()), "sample"))
     message = (
         "no two consecutive samples contain all signals, because several sources seem to write alternately; kept: "
-        f"{rows.sum()} samples of {join_names(kept_joints)}; ignored: {join_names(removed)}"
+        f"{count_text(int(rows.sum()), 'sample')} of {join_names(kept_joints)}; ignored: {join_names(removed)}"
     )
     advice = "log position and torque in the same message"
     notices += (Notice("interleaved_signals", "warning", None, message, advice),)

@@ -14,6 +14,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import LogError
+from idtool.common.names import count_text
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.data.logs.times import suspected_unit, time_unit_notice
@@ -109,7 +110,7 @@ def make_log(
     if "q" not in present:
         raise LogError(path, "no joint positions found; name them q_<joint> or <joint>/position")
     if len(t) < 2:
-        raise LogError(path, f"has {len(t)} samples; at least two are needed")
+        raise LogError(path, f"has {count_text(len(t), 'sample')}; at least two are needed")
     with np.errstate(invalid="ignore", over="ignore"):
         steps = _sampled_steps(t)
         forward = steps[(steps > 0) & np.isfinite(steps)]
@@ -120,7 +121,10 @@ def make_log(
     if not segments:
         raise LogError(path, "no two consecutive samples are complete; check for missing values")
     if invalid.any():
-        message = f"{int(invalid.sum())} samples have values that are not finite; they were left out"
+        count = int(invalid.sum())
+        message = f"{count} samples have values that are not finite; they were left out"
+        if count == 1:
+            message = "1 sample has a value that is not finite; it was left out"
         advice = "if there are many of them, run idtool inspect"
         notices += (Notice("not_finite", "note", None, message, advice),)
     if unit := suspected_unit(dt, segments, present):

@@ -1,4 +1,4 @@
-"""Unit of all torques, by the URDF's masses, and torques that are cut off at their extremes.
+"""Unit of all torques, by the URDF's masses, torques that no motor has, and those that are cut off at their extremes.
 
 Letters as in `channel_fit`.
 """
@@ -12,10 +12,12 @@ import numpy as np
 from scipy.optimize import nnls
 
 from idtool.common.arrays import Array
+from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.inspection import InspectedJoint
 from idtool.diagnosis.data_faults.channel_fit import Change, ChannelFit
+from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.dataset.reduction import Factor
 
 _MIN_WEIGHT_SHARE = 0.03  # of a torque's power, from which weight determines the unit
@@ -28,6 +30,38 @@ _LIMIT_INERTIA = 30.0  # factor by inertia alone
 _MIN_MASS = 0.02  # kg: lighter links are placeholders
 _MIN_SIGNIFICANCE = 3.0  # standard errors, that the torque must continue beyond its extreme
 _MIN_EXCESS = 0.01  # of the extreme, that the torque must continue beyond it
+_MAX_OVER_OTHERS = 1e3  # median of a joint's torque over the rms of any other joint's
+_MAX_OVER_URDF = 1e4  # torque over that of the URDF's bodies: friction of light joints makes a thousandfold
+
+
+def check_torques(experiment: Experiment) -> None:
+    """Check that no joint's torque is beyond all measure, which would make every fit fail.
+
+    That is one far above both the other joints' torque and that of the URDF's bodies: friction alone may be many times
+    the latter. Most samples have to be so large: a spike is no matter of the unit.
+
+    Raises
+    ------
+    LogError
+        If there is one.
+    """
+    names = experiment.equation.joints
+    for run in experiment.runs:
+        log = run.signals.log
+        measured = [j for j, name in enumerate(names) if log.has("tau", name)]
+        tau = {j: log.signals["tau"][:, log.joints.index(names[j])] for j in measured}
+        rms = {j: float(np.sqrt(np.nanmean(np.square(x)))) for j, x in tau.items()}
+        for j in measured:
+            others = max((rms[k] for k in measured if k != j), default=0.0)
+            if not 0 < _MAX_OVER_OTHERS * others < float(np.nanmedian(np.abs(tau[j]))):
+                continue
+            excess = 10 ** float(ChannelFit(replace(experiment, runs=(run,))).excess[j])
+            if excess > _MAX_OVER_URDF:
+                what = (
+                    f"tau of joint {names[j]} cannot be right: it is {excess:.1g} times the torque of the URDF's bodies"
+                )
+                advice = "correct its unit with `log.scale` in the configuration"
+                raise LogError(log.path, f"{what} and {rms[j] / others:.1g} times that of any other joint; {advice}")
 
 
 def wrong_torque_unit(fit: ChannelFit, change: Change, T: Array) -> Iterator[Notice]:

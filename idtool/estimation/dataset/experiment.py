@@ -15,6 +15,7 @@ from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.data.controller import without_constant_torque
 from idtool.data.logs import JointLog, read_log
+from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
 from idtool.data.signals import Batch, Signals, default_cutoff
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
@@ -86,19 +87,7 @@ class Experiment:
     @property
     def notices(self) -> tuple[Notice, ...]:
         """Notices about model and logs."""
-        notices = [*self.model.notices, *self._moving_joints_notice()]
-        sources = [source for run in self.runs if run.train for source in run.signals.log.sources]
-        hashes = [source.sha256 for source in sources]
-        duplicates = {Path(source.path).name for source in sources if hashes.count(source.sha256) > 1}
-        if duplicates:
-            names = ", ".join(sorted(duplicates))
-            message = f"{names}: the same log is given more than once; standard errors are too small"
-            notices.append(Notice("duplicate_log", "warning", None, message))
-        fitted = {run.signals.log.path.resolve() for run in self.runs if run.train}
-        validated = {run.signals.log.path.resolve() for run in self.runs if not run.train}
-        for path in sorted(fitted & validated):
-            message = "the log is used for both fitting and validation, so its error says little about prediction"
-            notices.append(Notice("validated_on_training_log", "warning", path.name, message))
+        notices = [*self.model.notices, *self._moving_joints_notice(), *self._same_recording_notices()]
         controller = self.config.controller
         by_command = any(run.signals.controller.joints.any() for run in self.runs)
         if by_command and controller is not None and controller.known_delay is None:
@@ -108,6 +97,27 @@ class Experiment:
             for notice in (*run.signals.log.notices, *run.signals.notices):
                 notices.append(notice.about(run.signals.log.path.name) if len(self.runs) > 1 else notice)
         return tuple(notices)
+
+    def _same_recording_notices(self) -> Iterator[Notice]:
+        """Notices about logs that hold the same recording."""
+        fitted = [run.signals.log for run in self.runs if run.train]
+        for group in same_recordings(fitted):
+            names = distinct_names(group)
+            if len(names) > 1:
+                message = f"the same recording is in {join_names(names)}"
+            else:
+                message = f"{join_names(names)} is given more than once"
+            advice = "give it once: standard errors are too small, and that these logs agree confirms nothing"
+            yield Notice("duplicate_log", "warning", None, message, advice)
+        for run in self.runs:
+            log = run.signals.log
+            same = [other for other in fitted if not run.train and is_same_recording(other, log)]
+            if same:
+                others = distinct_names([log, *same])[1:]
+                as_others = f", as {join_names(others)}," if others else ""
+                use = f"the log is used for validation and{as_others} for the fit"
+                message = f"{use}, so its error says little about prediction"
+                yield Notice("validated_on_training_log", "warning", log.path.name, message)
 
     def _moving_joints_notice(self) -> Iterator[Notice]:
         """Notice about joints that move though they are not in the model, on one branch with joints that are."""

@@ -26,6 +26,7 @@ from idtool.reporting.export.base import Export, Part
 from idtool.reporting.export.identified import EffectTorque, IdentifiedModel
 from idtool.reporting.export.inertia_check import is_acceptable, unrealizable_error
 from idtool.reporting.export.joints import ForcesByJoint, JointForces
+from idtool.reporting.export.present_values import has_mjcf_inertia, has_urdf_inertia, has_value
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.diagnosis import ChangeReport
 from idtool.robot.body import Body
@@ -309,21 +310,26 @@ def _write_mjcf(plan: _Plan, path: Path, text: bytes) -> tuple[bytes, list[Part]
     world = [element for section in root.with_tag("worldbody") for element in section.descendants()]
     joints = {element.name: element for element in world if element.tag == "joint"}
     bodies = {element.name: element for element in world if element.tag == "body"}
+    default = None if b"<default" in text or b"<include" in text else "0"  # of every attribute of a joint
     edits: dict[tuple[int, str], Edit] = {}
     carried = []
     for change in plan.joints:
         if change.attributes == ("gravity",):
             gravity = _text(plan.gravity)
-            edits[0, "gravity"] = _set_option(text, root, "gravity", gravity)
-            carried.append(replace(change.part, detail=f"gravity → {gravity}"))
+            option = root.first("option")
+            if not has_value(option.attributes.get("gravity") if option else None, gravity, _DIGITS):
+                edits[0, "gravity"] = _set_option(text, root, "gravity", gravity)
+                carried.append(replace(change.part, detail=f"gravity → {gravity}"))
             continue
         element = _find_joint(path, joints, change.part.of, has_include=b"<include" in text)
         details = []
         for name in change.attributes:
             value = _mjcf_value(path, plan.forces[change.part.of], name, element, root)
-            edits[element.start, name] = set_attribute(text, element, name, value)
-            details.append(f"{name} {element.attributes.get(name, 'default')} → {value}")
-        carried.append(replace(change.part, detail=", ".join(details)))
+            if not has_value(element.attributes.get(name, default), value, _DIGITS):
+                edits[element.start, name] = set_attribute(text, element, name, value)
+                details.append(f"{name} {element.attributes.get(name, 'default')} → {value}")
+        if details:
+            carried.append(replace(change.part, detail=", ".join(details)))
     for body_change in plan.bodies:
         name = body_change.body.name
         inertial = bodies[name].first("inertial") if name in bodies else None
@@ -333,7 +339,10 @@ def _write_mjcf(plan: _Plan, path: Path, text: bytes) -> tuple[bytes, list[Part]
         if reason := _inertial_mismatch(path, inertial, body_change):
             plan.not_carried.append(replace(body_change.part, detail=reason))
             continue
-        mass, new = _mjcf_inertial(_realizable(plan, body_change))
+        pi = _realizable(plan, body_change)
+        if has_mjcf_inertia(inertial, pi):
+            continue
+        mass, new = _mjcf_inertial(pi)
         edits[inertial.start, ""] = Edit(inertial.start, inertial.stop, new.encode())
         detail = f"inertial, mass {inertial.attributes['mass']} → {mass!r}"
         carried.append(replace(body_change.part, detail=detail))
@@ -457,7 +466,7 @@ def _write_urdf(plan: _Plan, path: Path, text: bytes) -> tuple[bytes, list[Part]
     """The patched URDF, and the parts that are in it; those that are not are added to the plan."""
     root = root_element(text)
     joints = {element.name: element for element in root.with_tag("joint")}
-    links = {element.name for element in root.with_tag("link")}
+    links = {element.name: element for element in root.with_tag("link")}
     dynamics: dict[str, JointDynamics] = {}
     inertias: dict[str, Array | None] = {}
     carried = []
@@ -471,16 +480,21 @@ def _write_urdf(plan: _Plan, path: Path, text: bytes) -> tuple[bytes, list[Part]
         for name in change.attributes:
             value = float(round_to_digits(getattr(plan.forces[change.part.of], name), _DIGITS))
             written = _URDF_NAMES[name]
+            if has_value(old.attributes.get(written, "0") if old else "0", _number(value), _DIGITS):
+                continue
             present = dynamics.get(change.part.of, JointDynamics())
             dynamics[change.part.of] = replace(present, **{written: value})
             before = old.attributes.get(written, "none") if old else "none"
             details.append(f"{written} {before} → {_number(value)}")
-        carried.append(replace(change.part, detail=", ".join(details)))
+        if details:
+            carried.append(replace(change.part, detail=", ".join(details)))
     for body_change in plan.bodies:
         pi = _realizable(plan, body_change)
         new = link_parameters(body_change.body, pi, plan.identified.robot.links)
-        if not set(new) <= links:
+        if not set(new) <= set(links):
             plan.not_carried.append(replace(body_change.part, detail="the file has no such link"))
+            continue
+        if all(has_urdf_inertia(links[name], own) for name, own in new.items()):
             continue
         inertias |= new
         mass = four_digits(float(pi[0]))

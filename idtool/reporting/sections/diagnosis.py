@@ -202,7 +202,8 @@ class CandidatesSection(Section[StepReport]):
         hidden = 0
         if self.max_rows is not None:
             hidden = sum(len(group) for group in _candidate_groups(report)[self.max_rows :])
-        return f"{hidden} more are listed in diagnosis.json." if hidden else ""
+        are = "is" if hidden == 1 else "are"
+        return f"{hidden} more {are} listed in diagnosis.json." if hidden else ""
 
 
 def _candidate_groups(step: StepReport) -> list[list[CandidateReport]]:

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from idtool.reporting.results.export import ExportedPart, ExportReport
 from idtool.reporting.terminal.base import Terminal
 
 
-def show_export(terminal: Terminal, report: ExportReport) -> None:
+def show_export(terminal: Terminal, report: ExportReport, file: Path) -> None:
     """Print the parts in the file, one line for each kind, and those that are missing, alike ones on one line.
 
     Of a patched file every change has a line of its own.
+
+    Parameters
+    ----------
+    terminal
+        Terminal that is written to.
+    report
+        The result.
+    file
+        Where the file is; it was not written now if the report has none.
     """
     if report.patched is not None:
         for part in report.carried:
@@ -27,5 +38,5 @@ def show_export(terminal: Terminal, report: ExportReport) -> None:
         bound = "up to " if len(sizes) > 1 else ""
         size = ", {}{:.3g} {}".format(bound, *max(sizes)) if sizes and report.patched is None else ""
         terminal.say(f"not exported: {what} of {', '.join(part.of for part in parts)}: {detail}{size}", "yellow")
-    terminal.say(f"written: {report.file}")
+    terminal.say(f"written: {file}" if report.file else f"not written: {file} is left as it was")
     terminal.notices(report.notices)

@@ -1,0 +1,56 @@
+"""Logs that hold the same recording, whatever their names and formats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from idtool.data.logs.log import SIGNALS, JointLog
+
+_TOLERANCE = 1e-4  # of a signal's range: rounding in another format is smaller, the noise of another run is larger
+_MIN_TOLERANCE = 1e-6  # SI units, of a signal that hardly changes
+
+
+def is_same_recording(first: JointLog, second: JointLog) -> bool:
+    """True if two logs hold the same recording.
+
+    These are files of the same content, or logs of the same length that agree in the joints' positions and in every
+    other signal that both have.
+    """
+    hashes = [source.sha256 for source in first.sources]
+    if first.sources and hashes == [source.sha256 for source in second.sources]:
+        return True
+    if len(first) != len(second):
+        return False
+    joints = [name for name in first.joints if first.has("q", name) and second.has("q", name)]
+    return bool(joints) and all(_is_same_signal(first, second, signal, name) for name in joints for signal in SIGNALS)
+
+
+def same_recordings(logs: Iterable[JointLog]) -> list[list[JointLog]]:
+    """Groups of logs that hold the same recording; those that no other log is equal to are left out."""
+    groups: list[list[JointLog]] = []
+    for log in logs:
+        group = next((group for group in groups if is_same_recording(group[0], log)), None)
+        if group is None:
+            groups.append([log])
+        else:
+            group.append(log)
+    return [group for group in groups if len(group) > 1]
+
+
+def distinct_names(logs: Sequence[JointLog]) -> list[str]:
+    """Names of the logs' files, each once; with their folders if different files have the same name."""
+    paths = dict.fromkeys(log.path for log in logs)
+    names = [path.name for path in paths]
+    return names if len(set(names)) == len(names) else [f"{path.absolute().parent.name}/{path.name}" for path in paths]
+
+
+def _is_same_signal(first: JointLog, second: JointLog, signal: str, joint: str) -> bool:
+    """True if a joint's signal is the same in two logs of the same length, or missing in one of them."""
+    if not (first.has(signal, joint) and second.has(signal, joint)):
+        return True
+    x = first.signals[signal][:, first.joints.index(joint)]
+    y = second.signals[signal][:, second.joints.index(joint)]
+    tolerance = max(_TOLERANCE * float(np.nanmax(x) - np.nanmin(x)), _MIN_TOLERANCE)
+    return bool(np.isclose(x, y, rtol=0.0, atol=tolerance, equal_nan=True).all())

@@ -1,0 +1,81 @@
+"""Whether a simulator's file already has the values that are to be written, however it writes them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.robot.inertia import round_to_digits, rounded_inertial, symmetric_entries
+from idtool.robot.urdf.text import Element
+
+_TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")  # attributes that turn an inertial's axes in MJCF
+_INERTIA = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+_TOLERANCE = 1e-6  # relative, of an inertial
+
+
+def has_value(written: str | None, value: str, digits: int) -> bool:
+    """True if an attribute has a value already, to so many digits.
+
+    Parameters
+    ----------
+    written
+        The attribute as it is written; None: it is not, and its default is not known.
+    value
+        Its new numbers.
+    digits
+        Digits of the new numbers.
+    """
+    present = _numbers(written)
+    new = _numbers(value)
+    if present is None or new is None or present.shape != new.shape:
+        return False
+    return bool(np.array_equal(round_to_digits(present, digits), new))
+
+
+def has_mjcf_inertia(inertial: Element, pi: Array) -> bool:
+    """True if an inertial of MJCF is that of a body; one with turned axes counts as another."""
+    attributes = inertial.attributes
+    if any(name in attributes for name in _TURNED):
+        return False
+    entries = _numbers(attributes.get("fullinertia", f"{attributes.get('diaginertia')} 0 0 0"))
+    if entries is None or entries.shape != (6,):
+        return False
+    mass = _numbers(attributes.get("mass"))
+    com = _numbers(attributes.get("pos"))
+    return _is_inertia(mass, com, entries[[0, 3, 1, 4, 5, 2]], pi)
+
+
+def has_urdf_inertia(link: Element, pi: Array | None) -> bool:
+    """True if a link of a URDF has the inertia of a body, None: without mass; turned axes count as another inertia."""
+    inertial = link.first("inertial")
+    if inertial is None or pi is None:
+        return inertial is None and pi is None
+    origin, mass, inertia = (
+        {} if x is None else x.attributes for x in map(inertial.first, ("origin", "mass", "inertia"))
+    )
+    turn = _numbers(origin.get("rpy", "0 0 0"))
+    if turn is None or turn.any():
+        return False
+    entries = _numbers(" ".join(inertia.get(name, "0") for name in _INERTIA))
+    return _is_inertia(_numbers(mass.get("value")), _numbers(origin.get("xyz", "0 0 0")), entries, pi)
+
+
+def _is_inertia(mass: Array | None, com: Array | None, entries: Array | None, pi: Array) -> bool:
+    """True if mass, centre of mass and [xx, xy, yy, xz, yz, zz] about it are those of a body."""
+    new_mass, new_com, new_inertia = rounded_inertial(pi)
+    new = (np.array([new_mass]), new_com, symmetric_entries(new_inertia))
+    return all(_is_close(*pair) for pair in zip((mass, com, entries), new, strict=True))
+
+
+def _is_close(present: Array | None, new: Array) -> bool:
+    if present is None or present.shape != new.shape:
+        return False
+    return bool(np.abs(present - new).max() <= _TOLERANCE * np.abs(new).max())
+
+
+def _numbers(text: str | None) -> Array | None:
+    """Numbers of an attribute; None if it holds something else, or is not there."""
+    try:
+        return np.array([float(x) for x in text.split()]) if text is not None else None
+    except ValueError:
+        return None
