@@ -60,5 +60,5 @@ def export_command(
         is_left = result.leaves(file)
         result.save(file)
     report = result.model_copy(update={"file": None if is_left else str(file)})
-    show_export(terminal, report, file)
+    show_export(terminal, report, file if is_left else None)
     finish(terminal, report, {})

@@ -8,7 +8,7 @@ from idtool.reporting.results.export import ExportedPart, ExportReport
 from idtool.reporting.terminal.base import Terminal
 
 
-def show_export(terminal: Terminal, report: ExportReport, file: Path) -> None:
+def show_export(terminal: Terminal, report: ExportReport, left: Path | None = None) -> None:
     """Print the parts in the file, one line for each kind, and those that are missing, alike ones on one line.
 
     Of a patched file every change has a line of its own.
@@ -19,8 +19,8 @@ def show_export(terminal: Terminal, report: ExportReport, file: Path) -> None:
         Terminal that is written to.
     report
         The result.
-    file
-        Where the file is; it was not written now if the report has none.
+    left
+        File that was left as it was, since a copy without a change would have replaced it; None: there is none.
     """
     if report.patched is not None:
         for part in report.carried:
@@ -38,5 +38,5 @@ def show_export(terminal: Terminal, report: ExportReport, file: Path) -> None:
         bound = "up to " if len(sizes) > 1 else ""
         size = ", {}{:.3g} {}".format(bound, *max(sizes)) if sizes and report.patched is None else ""
         terminal.say(f"not exported: {what} of {', '.join(part.of for part in parts)}: {detail}{size}", "yellow")
-    terminal.say(f"written: {file}" if report.file else f"not written: {file} is left as it was")
+    terminal.say(f"not written: {left} is left as it was" if left else f"written: {report.file}")
     terminal.notices(report.notices)
