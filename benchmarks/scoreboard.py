@@ -35,6 +35,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import permutations
 from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
@@ -148,13 +149,11 @@ class Outcome:
     @property
     def is_exact_with_pairs(self) -> bool:
         """True if every hidden effect is one of the effects of a step of its own, and there is no other step."""
-        remaining = [{step.key, step.alternative} for step in self.identified]
-        for key in self.truth:
-            step = next((keys for keys in remaining if key in keys), None)
-            if step is None:
-                return False
-            remaining.remove(step)
-        return not remaining
+        of_steps = [{step.key, step.alternative} for step in self.identified]
+        if len(of_steps) != len(self.truth):
+            return False
+        assignments = permutations(self.truth)
+        return any(all(key in keys for key, keys in zip(order, of_steps, strict=True)) for order in assignments)
 
     @property
     def invented(self) -> list[ReportedStep]:

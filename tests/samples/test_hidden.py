@@ -262,6 +262,14 @@ def test_the_scoreboard_reads_a_diagnosis(steps: list[dict[str, Any]], right: st
     np.testing.assert_allclose(outcome.closed_gap, [0.9, 0.9])
 
 
+def test_what_is_exact_is_exact_with_pairs_whichever_effect_a_pair_stands_for() -> None:
+    hidden = (HiddenEffect("stribeck_friction", "elbow"), HiddenEffect("torque_offset", "elbow"))
+    steps = (step("torque_offset", pair=True), step("stribeck_friction"))
+    outcome = read_outcome(Case("two", "planar2", hidden), report_of(*steps), 1.0)
+    assert outcome.is_exact
+    assert outcome.is_exact_with_pairs
+
+
 def test_delays_of_all_joints_are_one_delay() -> None:
     case = Case("late", "planar2", (HiddenEffect("time_delay"),))
     assert read_outcome(case, report_of(step("time_delay", "elbow"), step("time_delay", "shoulder")), 1.0).is_exact
