@@ -118,6 +118,11 @@ class LinearizedFit:
         return len(self.noise)
 
     @cached_property
+    def noise_gain(self) -> Array:
+        """Ratio of the rows' noise to that of the measured torque, shape (nv,)."""
+        return _noise_gain(self.experiment, self.noise)
+
+    @cached_property
     def information(self) -> Array:
         """Information on y from data, prior and constraints, shape (r, r)."""
         return np.asarray(self.gram.sum(axis=0) + self.prior_information)
@@ -233,7 +238,7 @@ def _estimate(experiment: Experiment, reduction: Reduction, noise: Array) -> Est
 
 def _noise_ratio(experiment: Experiment, rms_torque: Array, reference: LinearizedFit) -> Array:
     """Noise of each joint over that of the reference, shape (nv,); it scales with the true torque if that differs."""
-    ratio = _noise_gain(experiment, reference.noise) / _noise_gain(reference.experiment, reference.noise)
+    ratio = _noise_gain(experiment, reference.noise) / reference.noise_gain
     if _has_torque_sensor_effect(experiment) or _has_torque_sensor_effect(reference.experiment):
         ratio = ratio * rms_torque / reference.rms_torque
     return ratio
