@@ -57,7 +57,8 @@ def _check_effect(option: str, effect: str, text: str) -> str:
     if effect in names:
         return effect
     name = printable(effect) or "an empty name"
-    raise ConfigError(option, f"{name} is not an effect; {_intended(option, text, names)}{_possible(effect, names)}")
+    advice = _intended(option, text, names) + _possible(effect, names)
+    raise ConfigError(option, f"{name} is not an effect; {advice}")
 
 
 def _intended(option: str, text: str, names: Sequence[str]) -> str:
@@ -75,9 +76,14 @@ def _intended(option: str, text: str, names: Sequence[str]) -> str:
 
 def _possible(name: str, names: Collection[str]) -> str:
     """The most similar name, if there is one, and all that are possible."""
-    available = f"available: {join_names(names, _MAX_NAMES)}"
     hint = suggestion(name, names)
-    return f"{hint} {available}" if hint.endswith("?") else available
+    has_similar = hint.endswith("?")
+    return f"{hint} {_available(names)}" if has_similar else _available(names)
+
+
+def _available(names: Collection[str]) -> str:
+    """Clause that lists the names that are possible."""
+    return f"available: {join_names(names, _MAX_NAMES)}"
 
 
 def check_assumptions(assumptions: Sequence[EffectAssumption], model: RobotModel, option: str = "--assume") -> None:
@@ -109,8 +115,8 @@ def check_assumptions(assumptions: Sequence[EffectAssumption], model: RobotModel
             names = model.robot.links
             what = "link"
         if owner is None:
-            form = f"give {effect}:{what.upper()}"
-            raise ConfigError(option, f"{effect} acts on a {what}; {form}; available: {join_names(names, _MAX_NAMES)}")
+            advice = f"give {effect}:{what.upper()}; {_available(names)}"
+            raise ConfigError(option, f"{effect} acts on a {what}; {advice}")
         if owner not in names:
             name = printable(owner) or "an empty name"
             raise ConfigError(option, f"{name} is not a {what} of the model; {_possible(owner, names)}")

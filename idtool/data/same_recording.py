@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import product
 
 import numpy as np
 
@@ -24,7 +25,9 @@ def is_same_recording(first: JointLog, second: JointLog) -> bool:
     if len(first) != len(second):
         return False
     joints = [name for name in first.joints if first.has("q", name) and second.has("q", name)]
-    return bool(joints) and all(_is_same_signal(first, second, signal, name) for name in joints for signal in SIGNALS)
+    if not joints:
+        return False
+    return all(_is_same_signal(first, second, signal, name) for name, signal in product(joints, SIGNALS))
 
 
 def same_recordings(logs: Iterable[JointLog]) -> list[list[JointLog]]:
@@ -43,7 +46,9 @@ def distinct_names(logs: Sequence[JointLog]) -> list[str]:
     """Names of the logs' files, each once; with their folders if different files have the same name."""
     paths = dict.fromkeys(log.path for log in logs)
     names = [path.name for path in paths]
-    return names if len(set(names)) == len(names) else [f"{path.absolute().parent.name}/{path.name}" for path in paths]
+    if len(set(names)) == len(names):
+        return names
+    return [f"{path.absolute().parent.name}/{path.name}" for path in paths]
 
 
 def _is_same_signal(first: JointLog, second: JointLog, signal: str, joint: str) -> bool:

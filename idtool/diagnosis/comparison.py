@@ -225,7 +225,7 @@ def _changes(pair: FittedPair) -> tuple[list[Change], list[TermKey]]:
 
 @dataclass(frozen=True)
 class _GapShare:
-    """What a difference contributes to the gap between simulator and robot.
+    """Contribution of a difference to the gap between simulator and robot.
 
     Attributes
     ----------
@@ -338,10 +338,10 @@ def _pair_notices(pairs: Sequence[LogPair]) -> Iterator[Notice]:
     """Notices about pairs of logs that can hardly be of the same commands."""
     for pair in pairs:
         if not pair.moves_alike:
-            message = (
-                f"{pair.measured.name} and {pair.simulated.name} do not show the same motion: their positions differ "
-                f"by {pair.position['overall']:.3g} RMS, while the robot moves by {pair.motion['overall']:.3g} RMS"
-            )
+            names = f"{pair.measured.name} and {pair.simulated.name}"
+            difference = f"their positions differ by {pair.position['overall']:.3g} RMS"
+            motion = f"the robot moves by {pair.motion['overall']:.3g} RMS"
+            message = f"{names} do not show the same motion: {difference}, while {motion}"
             yield Notice("pair_differs", "warning", None, message, "play the same commands in the simulator")
 
 

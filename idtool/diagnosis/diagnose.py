@@ -370,7 +370,7 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
         if (effect_id, target) not in added:
             yield Notice("effect_failed", "warning", None, f"{effect_id} on {target} {reason}")
     if search.stopped:
-        yield _stopped_notice(search.stopped, len(search.reported))
+        yield _stopped_notice(search)
     if search.reversal_joints:
         sizes = []
         for name, (rms, rms_away) in search.reversal_joints.items():
@@ -383,17 +383,18 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
         yield Notice("reversals_left_aside", "warning", None, message)
 
 
-def _stopped_notice(reason: str, count: int) -> Notice:
-    """Notice about a search that ended before it was complete, after it had found some effects."""
-    found = "no effect had been found by then"
-    if count:
-        found = "the effect found by then is reported" if count == 1 else "the effects found by then are reported"
+def _stopped_notice(search: EffectSearch) -> Notice:
+    """Notice about a search that ended before it was complete."""
+    if not search.reported:
+        found = "no effect had been found by then"
+    elif len(search.reported) == 1:
+        found = "the effect found by then is reported"
+    else:
+        found = "the effects found by then are reported"
     advice = "run it again for the rest"
-    if reason.startswith("the search ended early"):  # a failure, which comes again
-        advice = (
-            "it ends in the same way if it is run again; correct the faults of the data, or search for fewer effects"
-        )
-    return Notice("search_interrupted", "warning", None, f"{reason}; {found}", advice)
+    if search.has_failed:
+        advice = "correct the faults of the data, or search for fewer effects: a second run would end in the same way"
+    return Notice("search_interrupted", "warning", None, f"{search.stopped}; {found}", advice)
 
 
 def _verdict(steps: Sequence[DiagnosisStep], is_floor_known: bool) -> Verdict:

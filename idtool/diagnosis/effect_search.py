@@ -75,6 +75,8 @@ class EffectSearch:
         Reason why the search ended before it was complete; empty if it was.
     is_interrupted
         True if Ctrl-C ended it.
+    has_failed
+        True if a failure ended it, which would come again.
 
     Parameters
     ----------
@@ -105,6 +107,7 @@ class EffectSearch:
         self._deadline: float | None = None
         self.stopped = ""
         self.is_interrupted = False
+        self.has_failed = False
         self.removed: list[str] = []
         self.last_round: SelectionStep | None = None
         self.reversal_joints: dict[str, tuple[float, float]] = {}
@@ -163,6 +166,7 @@ class EffectSearch:
         except _TimeLimitError:
             self._stop("the search reached its time limit")
         except FAILURES as failure:
+            self.has_failed = True
             self._stop(f"the search ended early: {failure_reason(failure)}")
         self._deadline = None
 

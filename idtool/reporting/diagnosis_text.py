@@ -108,7 +108,7 @@ def _floor_words(report: DiagnosisReport) -> str:
 
 
 def _outcome(stopped: str) -> str:
-    """How a search ended, without the details that the notices give."""
+    """Clause on the end of a search, without the details that the notices give."""
     return stopped.partition(":")[0]
 
 

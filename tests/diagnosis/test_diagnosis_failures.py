@@ -298,7 +298,7 @@ def test_a_search_that_failed_is_not_to_be_run_again(
         "the effects found by then are",
     )
     assert notice.message.startswith(f"the search ended early: gave up; {reported[len(assumed)]}")
-    assert notice.advice.startswith("it ends in the same way if it is run again")
+    assert notice.advice.startswith("correct the faults of the data, or search for fewer effects")
 
 
 def test_a_search_for_some_effects_says_nothing_of_others(arm: Experiment) -> None:

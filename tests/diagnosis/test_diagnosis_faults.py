@@ -432,7 +432,7 @@ def test_a_torque_in_a_millionth_of_its_unit_ends_the_diagnosis_at_once(joint: i
 
     name = ("abad", "hip", "knee")[joint]
     with pytest.raises(
-        LogError, match=rf"leg_train\.mcap: tau of joint {name} cannot be right: it is 1e\+06 times the"
+        LogError, match=rf"leg_train\.mcap: tau of joint {name} cannot be right: it is 1e\+06 times that of the URDF"
     ):
         diagnose(sample("leg", scale), Options(simulate=False, budget=0.0), silent)
 

@@ -1,11 +1,11 @@
-"""Unit of all torques, by the URDF's masses, torques that no motor has, and those that are cut off at their extremes.
+"""Faults in the size of torques: a wrong unit, by the URDF's masses, torques that no motor has, and cut-off extremes.
 
 Letters as in `channel_fit`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.inspection import InspectedJoint
+from idtool.data.logs.log import JointLog
 from idtool.diagnosis.data_faults.channel_fit import Change, ChannelFit
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.dataset.reduction import Factor
@@ -48,20 +49,27 @@ def check_torques(experiment: Experiment) -> None:
     names = experiment.equation.joints
     for run in experiment.runs:
         log = run.signals.log
-        measured = [j for j, name in enumerate(names) if log.has("tau", name)]
-        tau = {j: log.signals["tau"][:, log.joints.index(names[j])] for j in measured}
-        rms = {j: float(np.sqrt(np.nanmean(np.square(x)))) for j, x in tau.items()}
-        for j in measured:
-            others = max((rms[k] for k in measured if k != j), default=0.0)
-            if not 0 < _MAX_OVER_OTHERS * others < float(np.nanmedian(np.abs(tau[j]))):
-                continue
-            excess = 10 ** float(ChannelFit(replace(experiment, runs=(run,))).excess[j])
-            if excess > _MAX_OVER_URDF:
-                what = (
-                    f"tau of joint {names[j]} cannot be right: it is {excess:.1g} times the torque of the URDF's bodies"
+        for j, over_others in _far_above_others(log, names):
+            only_run = replace(experiment, runs=(run,))
+            over_urdf = 10 ** float(ChannelFit(only_run).excess[j])
+            if over_urdf > _MAX_OVER_URDF:
+                ratios = (
+                    f"{over_urdf:.1g} times that of the URDF's bodies and {over_others:.1g} times any other joint's"
                 )
                 advice = "correct its unit with `log.scale` in the configuration"
-                raise LogError(log.path, f"{what} and {rms[j] / others:.1g} times that of any other joint; {advice}")
+                raise LogError(log.path, f"tau of joint {names[j]} cannot be right: it is {ratios}; {advice}")
+
+
+def _far_above_others(log: JointLog, names: Sequence[str]) -> Iterator[tuple[int, float]]:
+    """Index of a joint whose torque is far above that of all others most of the time, and its ratio to theirs."""
+    measured = [j for j, name in enumerate(names) if log.has("tau", name)]
+    tau = {j: log.signals["tau"][:, log.joints.index(names[j])] for j in measured}
+    rms = {j: float(np.sqrt(np.nanmean(np.square(x)))) for j, x in tau.items()}
+    for j in measured:
+        largest_other = max((rms[k] for k in measured if k != j), default=0.0)
+        usual = float(np.nanmedian(np.abs(tau[j])))
+        if 0 < _MAX_OVER_OTHERS * largest_other < usual:
+            yield j, rms[j] / largest_other
 
 
 def wrong_torque_unit(fit: ChannelFit, change: Change, T: Array) -> Iterator[Notice]:

@@ -1,6 +1,8 @@
-"""Whether a simulator's file already has the values that are to be written, however it writes them."""
+"""Comparison of the values in a simulator's file with those that are to be written, however the file writes them."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -50,9 +52,9 @@ def has_urdf_inertia(link: Element, pi: Array | None) -> bool:
     inertial = link.first("inertial")
     if inertial is None or pi is None:
         return inertial is None and pi is None
-    origin, mass, inertia = (
-        {} if x is None else x.attributes for x in map(inertial.first, ("origin", "mass", "inertia"))
-    )
+    origin = _attributes(inertial, "origin")
+    mass = _attributes(inertial, "mass")
+    inertia = _attributes(inertial, "inertia")
     turn = _numbers(origin.get("rpy", "0 0 0"))
     if turn is None or turn.any():
         return False
@@ -60,14 +62,22 @@ def has_urdf_inertia(link: Element, pi: Array | None) -> bool:
     return _is_inertia(_numbers(mass.get("value")), _numbers(origin.get("xyz", "0 0 0")), entries, pi)
 
 
+def _attributes(parent: Element, name: str) -> Mapping[str, str]:
+    """Attributes of the first child of a name; none if there is no child."""
+    child = parent.first(name)
+    return {} if child is None else child.attributes
+
+
 def _is_inertia(mass: Array | None, com: Array | None, entries: Array | None, pi: Array) -> bool:
     """True if mass, centre of mass and [xx, xy, yy, xz, yz, zz] about it are those of a body."""
     new_mass, new_com, new_inertia = rounded_inertial(pi)
     new = (np.array([new_mass]), new_com, symmetric_entries(new_inertia))
-    return all(_is_close(*pair) for pair in zip((mass, com, entries), new, strict=True))
+    present = (mass, com, entries)
+    return all(_is_close(before, after) for before, after in zip(present, new, strict=True))
 
 
 def _is_close(present: Array | None, new: Array) -> bool:
+    """True if present numbers are new ones but for rounding."""
     if present is None or present.shape != new.shape:
         return False
     return bool(np.abs(present - new).max() <= _TOLERANCE * np.abs(new).max())
