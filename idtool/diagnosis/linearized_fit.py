@@ -14,10 +14,9 @@ Letters: p coefficients theta; r directions y; F blocks of time; k columns of a 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import cycle
 
 import numpy as np
 
@@ -25,9 +24,9 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.data.signals import Batch
+from idtool.diagnosis.noise_gain import noise_gain_of
 from idtool.dynamics.effects import NamedEffect, effect_from_entry
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
-from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, cut_into_blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, tracked
@@ -44,8 +43,6 @@ _BARRIER_GAP = 1e-4  # of the cost, that the barrier's minimiser may cost more
 _MIN_DATA_SHARE = 1e-5  # of a direction's information: with less from the data, the prior determines it
 _RANK = 1e-13  # of the largest eigenvalue: smaller ones are 0
 _MIN_DEFINED_ROWS = 0.1  # of a joint's rows, at which the model's own columns must be defined
-_NOISE_SAMPLES = 40_000  # by which a ratio of noises is known to about two hundredths
-_SEED = 0
 
 
 @dataclass(frozen=True)
@@ -62,6 +59,8 @@ class LinearizedFit:
         Point of the expansion, shape (p,): strictly within the constraints.
     noise
         Unit of each joint's rows, shape (nv,) [N·m or N].
+    noise_gain
+        Ratio of the rows' noise to that of the measured torque, shape (nv,).
     directions
         Changes of theta by y, shape (p, r).
     prior_information
@@ -88,6 +87,7 @@ class LinearizedFit:
     estimate: Estimate
     theta: Array
     noise: Array
+    noise_gain: Array
     directions: Array
     prior_information: Array
     gram: Array
@@ -116,11 +116,6 @@ class LinearizedFit:
     def joint_count(self) -> int:
         """Number of joints, nv."""
         return len(self.noise)
-
-    @cached_property
-    def noise_gain(self) -> Array:
-        """Ratio of the rows' noise to that of the measured torque, shape (nv,)."""
-        return _noise_gain(self.experiment, self.noise)
 
     @cached_property
     def information(self) -> Array:
@@ -191,8 +186,12 @@ def linearize_fit(
     rms_torque = np.array([np.linalg.norm(factor.R[:, -1]) / np.sqrt(factor.rows) for factor in reduction])
     if reference is None:
         noise = free_noise(equation, reduction, experiment.equalities)
+        noise_gain = noise_gain_of(experiment, noise)
     else:
-        noise = reference.noise * _noise_ratio(experiment, rms_torque, reference)
+        noise_gain = noise_gain_of(experiment, reference.noise)
+        noise = reference.noise * noise_gain / reference.noise_gain
+        if _has_torque_sensor_effect(experiment) or _has_torque_sensor_effect(reference.experiment):
+            noise = noise * rms_torque / reference.rms_torque
     estimated = _estimate(experiment, reduction, noise)
     theta, directions, prior_information = _directions(equation, reduction, estimated, noise)
 
@@ -205,6 +204,7 @@ def linearize_fit(
         estimate=estimated,
         theta=theta,
         noise=noise,
+        noise_gain=noise_gain,
         directions=directions,
         prior_information=prior_information,
         gram=gram,
@@ -236,58 +236,9 @@ def _estimate(experiment: Experiment, reduction: Reduction, noise: Array) -> Est
     )
 
 
-def _noise_ratio(experiment: Experiment, rms_torque: Array, reference: LinearizedFit) -> Array:
-    """Noise of each joint over that of the reference, shape (nv,); it scales with the true torque if that differs."""
-    ratio = _noise_gain(experiment, reference.noise) / reference.noise_gain
-    if _has_torque_sensor_effect(experiment) or _has_torque_sensor_effect(reference.experiment):
-        ratio = ratio * rms_torque / reference.rms_torque
-    return ratio
-
-
 def _has_torque_sensor_effect(experiment: Experiment) -> bool:
     """True if an effect of the torque sensors is in the model."""
     return any(isinstance(effect, TorqueSensorEffect) for effect in experiment.equation.effects)
-
-
-def _noise_gain(experiment: Experiment, noise: Array) -> Array:
-    """Ratio of the rows' noise to that of the measured torque, at most 1, shape (nv,).
-
-    Where a model derives the link's acceleration from the measured torque, it cancels some of that torque's noise,
-    which explains nothing. The ratio is that of white noise added to the training data, often enough to know it well.
-    """
-    equation = experiment.equation
-    gain = np.ones(len(noise))
-    if not any(effect.uses_measured_torque for effect in equation.effects):
-        return gain
-    theta = np.array([equation.operating_point.get(c.key, c.prior) for c in equation.coefficients])
-    rng = np.random.default_rng(_SEED)
-    added = np.zeros(len(noise))
-    remaining = np.zeros(len(noise))
-    for batch in _repeated_training_batches(experiment, _NOISE_SAMPLES):
-        white = rng.standard_normal(batch.motion.tau.shape)
-        white *= (noise / batch.filter(white).std(axis=1))[:, None]
-        noisy = replace(batch.motion, tau=batch.motion.tau + white)
-        clean_residual = LinearizedModel(equation, theta, batch.motion).residual
-        change = batch.filter(LinearizedModel(equation, theta, noisy).residual - clean_residual)
-        filtered_noise = batch.filter(white)
-        for j, mask in enumerate(equation.clean_samples(batch)):
-            added[j] += np.square(filtered_noise[j, mask]).sum()
-            remaining[j] += np.square(change[j, mask]).sum()
-    known = added > 0
-    gain[known] = np.minimum(np.sqrt(remaining[known] / added[known]), 1.0)
-    return gain
-
-
-def _repeated_training_batches(experiment: Experiment, samples: int) -> Iterator[Batch]:
-    """Training data, from the start again when it ends, until there were at least so many samples."""
-    runs = [run for run in experiment.runs if run.train]
-    count = 0
-    for run in cycle(runs):
-        for batch in experiment.batches(run, held_out=False):
-            yield batch
-            count += len(batch.motion.t)
-            if count >= samples:
-                return
 
 
 def _block_length(experiment: Experiment) -> int:

@@ -11,6 +11,7 @@ independent rows.
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from idtool.diagnosis.model_selection import (
     screened_record,
     select_best,
 )
+from idtool.diagnosis.noise_gain import noise_gain_with_probe
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
@@ -176,9 +178,20 @@ def _fit_best_candidates(
     finalists: list[FittedCandidate] = []
     rejected: list[Candidate] = []
     failed: list[Candidate] = []
+    min_gain = MIN_SIGNIFICANCE**2 * inflation
+    significant = []
+    for candidate in candidates:
+        if candidate.gain < min_gain:
+            break
+        true_gain = _without_cancelled_noise(candidate, base)
+        if true_gain.gain < min_gain:
+            rejected.append(screened_record(candidate, base, "explains only noise of the measured torque"))
+        else:
+            significant.append(true_gain)
+
     best_gain = 0.0
-    for candidate in candidates[:_MAX_FULL_FITS]:
-        if candidate.gain < max(MIN_SIGNIFICANCE**2 * inflation, _MIN_GAIN_RATIO * best_gain):
+    for candidate in _by_gain(significant)[:_MAX_FULL_FITS]:
+        if candidate.gain < _MIN_GAIN_RATIO * best_gain:
             break
         try:
             fitted, objection = _fit_and_judge(candidate, base, initial, summary, progress)
@@ -192,6 +205,17 @@ def _fit_best_candidates(
             best_gain = max(best_gain, candidate.gain)
     finalists.sort(key=lambda finalist: -finalist.gain)
     return FullFits(finalists, rejected, failed)
+
+
+def _without_cancelled_noise(candidate: ScreenedProbe, base: LinearizedFit) -> ScreenedProbe:
+    """Candidate with the most that its gains can be without noise of the measured torque that it cancels."""
+    if not effect_types()[candidate.probe.effect].uses_measured_torque:
+        return candidate
+    noise_gain = noise_gain_with_probe(base.experiment, base.theta, base.noise, candidate.probe, candidate.c)
+    # the rest of a joint's squared residual, in units of the noise that is left with the candidate
+    least_sse = np.maximum(base.sse - np.maximum(candidate.gains, 0)[:, None], 0)
+    loss = least_sse @ (1 / np.square(noise_gain) - 1)
+    return replace(candidate, gains=candidate.gains - loss)
 
 
 def _fit_and_judge(

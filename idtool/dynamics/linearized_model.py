@@ -184,10 +184,8 @@ class LinearizedModel:
 
     def _rigid_body_torque(self, motion: Motion, bodies: RigidBodies) -> Array:
         """Torque of the rigid bodies, shape (nv, N)."""
-        rows = []
-        for active, columns in zip(bodies.active, _columns(bodies, motion), strict=True):
-            rows.append(self.theta[active] @ columns)  # the bodies' coefficients come first in theta
-        return np.stack(rows)
+        theta = self.theta[: len(bodies.coefficients)]  # the bodies' coefficients come first
+        return bodies.torque(theta, motion)
 
     @cached_property
     def _derivatives(self) -> tuple[list[Array], list[Array], list[Array]]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy import ndimage
@@ -19,6 +20,7 @@ from idtool.data.signals import Batch, Motion, reversals
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NamedEffect
+from idtool.dynamics.effects.rigid_body import RigidBodies
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.mechanism import Mechanism
@@ -144,10 +146,7 @@ class LinearModel:
         true = self.true_motion(motion)
         residual = self._identified_torque(true).copy()
         for effect, part in self.effect_slices():
-            own_theta = theta[part]
-            for joint, columns in enumerate(_columns(effect, true)):
-                if len(columns):
-                    residual[joint] -= own_theta[effect.active[joint]] @ columns
+            residual -= _torque(effect, theta[part], true)
         return residual
 
     def filtered_columns(self, batch: Batch) -> list[Array]:
@@ -359,16 +358,14 @@ class LinearModel:
         return mechanism
 
 
-def _columns(effect: Effect, motion: Motion) -> Sequence[Array]:
-    """Columns of an effect along a true motion, per joint; kept ones where there are."""
-
-    def evaluate() -> list[Array]:
-        columns = [np.empty((len(active), len(motion.t))) for active in effect.active]
-        effect.columns(motion, columns)
-        return columns
-
+def _torque(effect: Effect, theta: Array, motion: Motion) -> Array:
+    """Torque of an effect with its coefficients, shape (m,), along a true motion; shape (nv, N)."""
+    if isinstance(effect, RigidBodies):
+        return effect.torque(theta, motion)
     kept = _kept_columns(effect, motion)
-    return evaluate() if kept is None else kept.get(("unfiltered", effect.column_key), evaluate)
+    evaluate = partial(_columns, effect, motion)
+    columns = evaluate() if kept is None else kept.get(("unfiltered", effect.column_key), evaluate)
+    return np.stack([theta[active] @ own for active, own in zip(effect.active, columns, strict=True)])
 
 
 def _filtered_columns(effect: Effect, motion: Motion, batch: Batch) -> Sequence[Array]:
@@ -382,6 +379,13 @@ def _filtered_columns(effect: Effect, motion: Motion, batch: Batch) -> Sequence[
 
     kept = _kept_columns(effect, motion)
     return evaluate() if kept is None else kept.get(("filtered", effect.column_key), evaluate)
+
+
+def _columns(effect: Effect, motion: Motion) -> list[Array]:
+    """Columns of an effect along a true motion, per joint."""
+    columns = [np.empty((len(active), len(motion.t))) for active in effect.active]
+    effect.columns(motion, columns)
+    return columns
 
 
 def _kept_columns(effect: Effect, motion: Motion) -> KeptColumns | None:

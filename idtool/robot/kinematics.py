@@ -8,6 +8,7 @@ of length 1 stands for all samples.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,20 +27,18 @@ class BodyMotion:
 
     Attributes
     ----------
+    R, p
+        Rotation from the parent's frame to the body's, shape (3, 3, N) or (3, 3, 1), and the origin of the body's frame
+        in the parent's, shape (3, N) or (3, 1) [m].
     w, alpha, acc
         Angular velocity, angular acceleration, and linear acceleration less gravity; shape (3, N) or (3, 1).
-    S_w, S_v
-        Columns of the body's Jacobian, shape (3, k, N) or (3, k, 1).
-    coordinates
-        The k coordinates, ascending.
     """
 
+    R: Array
+    p: Array
     w: Array
     alpha: Array
     acc: Array
-    S_w: Array
-    S_v: Array
-    coordinates: Indices
 
     @cached_property
     def M(self) -> Array:  # noqa: N802
@@ -52,6 +51,23 @@ class BodyMotion:
             M[i, j] -= alpha[k]
             M[j, i] += alpha[k]
         return M
+
+
+@dataclass(frozen=True)
+class BodyJacobian:
+    """Velocity of one body per unit of each coordinate's.
+
+    Attributes
+    ----------
+    S_w, S_v
+        Angular and linear velocity, shape (3, k, N) or (3, k, 1).
+    coordinates
+        The k coordinates that move the body, ascending.
+    """
+
+    S_w: Array
+    S_v: Array
+    coordinates: Indices
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -70,16 +86,26 @@ def body_motions(model: RobotModel, q: Array, v: Array, a: Array) -> list[BodyMo
         Positions, velocities, accelerations of the joints, shape (nv, N).
     """
     zero = np.zeros((3, 1))
-    no_columns = np.zeros((3, 0, 1))
-    base = BodyMotion(zero, zero, -model.gravity[:, None], no_columns, no_columns, np.zeros(0, dtype=np.intp))
+    base = BodyMotion(np.eye(3)[:, :, None], zero, zero, zero, -model.gravity[:, None])
     motions: list[BodyMotion] = []
-    for body, support in zip(model.bodies, model.support(), strict=True):
+    for body in model.bodies:
         parent = base if body.mount.body < 0 else motions[body.mount.body]
         phi = body.ratios @ q + body.offset
         dphi = body.ratios @ v
         ddphi = body.ratios @ a
-        motions.append(_propagate(body, parent, phi, dphi, ddphi, np.flatnonzero(support)))
+        motions.append(_propagate(body, parent, phi, dphi, ddphi))
     return motions
+
+
+def body_jacobians(model: RobotModel, motions: Sequence[BodyMotion]) -> list[BodyJacobian]:
+    """The Jacobian of every body, along the motions that `body_motions` gives."""
+    no_columns = np.zeros((3, 0, 1))
+    base = BodyJacobian(no_columns, no_columns, np.zeros(0, dtype=np.intp))
+    jacobians: list[BodyJacobian] = []
+    for body, motion, support in zip(model.bodies, motions, model.support(), strict=True):
+        parent = base if body.mount.body < 0 else jacobians[body.mount.body]
+        jacobians.append(_moved_jacobian(body, motion, parent, np.flatnonzero(support)))
+    return jacobians
 
 
 def body_placements(model: RobotModel, q: Array) -> dict[int, tuple[Array, Array]]:
@@ -127,7 +153,8 @@ def frame_jacobian(model: RobotModel, frame: Frame, q: Array) -> tuple[Array, Ar
     rotation, shape (N, 3, 3).
     """
     zero = np.zeros_like(q)
-    body = body_motions(model, q, zero, zero)[frame.body]
+    motions = body_motions(model, q, zero, zero)
+    body = body_jacobians(model, motions)[frame.body]
     R, _ = body_placements(model, q)[frame.body]
     R = np.broadcast_to(R, (q.shape[1], 3, 3))
     at_frame = body.S_v + cross(body.S_w, frame.p[:, None, None])
@@ -137,33 +164,38 @@ def frame_jacobian(model: RobotModel, frame: Frame, q: Array) -> tuple[Array, Ar
     return linear, angular, R @ frame.R
 
 
-def _propagate(
-    body: Body, parent: BodyMotion, phi: Array, dphi: Array, ddphi: Array, coordinates: Indices
-) -> BodyMotion:
+def _propagate(body: Body, parent: BodyMotion, phi: Array, dphi: Array, ddphi: Array) -> BodyMotion:
     """A body's motion from its parent's and its own along its axis: phi and its derivatives, shape (N,) each."""
     axis = body.axis[:, None]
     p = body.mount.p[:, None]
     if body.prismatic:
         p = p + (body.mount.R @ axis) * phi
     R = _rotation(body, phi)
-    w = _rotate(R, parent.w)
-    alpha = _rotate(R, parent.alpha)
-    acc = _rotate(R, parent.acc + _rotate(parent.M, p))
-
-    S_w, S_v = np.zeros((2, 3, len(coordinates), len(phi)))
-    parent_columns = np.searchsorted(coordinates, parent.coordinates)
-    S_w[:, parent_columns] = _rotate(R, parent.S_w)
-    S_v[:, parent_columns] = _rotate(R, parent.S_v + cross(parent.S_w, p[:, None]))
-    own_columns = axis[:, :, None] * body.ratios[coordinates, None]
+    w = rotate(R, parent.w)
+    alpha = rotate(R, parent.alpha)
+    acc = rotate(R, parent.acc + rotate(parent.M, p))
     if body.prismatic:
         acc = acc + 2 * cross(w, axis * dphi) + axis * ddphi
-        S_v += own_columns
     else:
         spin = axis * dphi
         alpha = alpha + axis * ddphi + cross(w, spin)
         w = w + spin
+    return BodyMotion(R, p, w, alpha, acc)
+
+
+def _moved_jacobian(body: Body, motion: BodyMotion, parent: BodyJacobian, coordinates: Indices) -> BodyJacobian:
+    """A body's Jacobian from its parent's and its own axis."""
+    samples = max(motion.R.shape[-1], motion.p.shape[-1])
+    S_w, S_v = np.zeros((2, 3, len(coordinates), samples))
+    parent_columns = np.searchsorted(coordinates, parent.coordinates)
+    S_w[:, parent_columns] = rotate(motion.R, parent.S_w)
+    S_v[:, parent_columns] = rotate(motion.R, parent.S_v + cross(parent.S_w, motion.p[:, None]))
+    own_columns = body.axis[:, None, None] * body.ratios[coordinates, None]
+    if body.prismatic:
+        S_v += own_columns
+    else:
         S_w += own_columns
-    return BodyMotion(w, alpha, acc, S_w, S_v, coordinates)
+    return BodyJacobian(S_w, S_v, coordinates)
 
 
 def _rotation(body: Body, phi: Array) -> Array:
@@ -177,6 +209,6 @@ def _rotation(body: Body, phi: Array) -> Array:
     return np.asarray(terms @ np.array([np.ones_like(phi), np.sin(phi), np.cos(phi)]))
 
 
-def _rotate(R: Array, x: Array) -> Array:
+def rotate(R: Array, x: Array) -> Array:
     """Matrices (3, 3, N) times vectors (3, N) or (3, k, N)."""
     return np.asarray(np.einsum("ij...,j...->i...", R, x))

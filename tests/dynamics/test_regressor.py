@@ -41,8 +41,10 @@ def random_motion(rng: np.random.Generator, nv: int, count: int = 4) -> Motion:
 
 def assert_equal(motion: Motion, model: RobotModel, reference: Reference) -> None:
     """Columns and torque at the prior against the reference, zeros where a column is left out included."""
-    linear = LinearModel(model.names, (RigidBodies(model),))
+    bodies = RigidBodies(model)
+    linear = LinearModel(model.names, (bodies,))
     columns, torque = linear.columns(motion), linear.torque(motion, linear.prior)
+    torque_of_bodies = bodies.torque(linear.prior, motion)
     for n in range(len(motion.t)):
         state = motion.q[:, n], motion.v[:, n], motion.a[:, n]
         Y = np.zeros((len(model.names), len(linear.coefficients)))
@@ -51,7 +53,8 @@ def assert_equal(motion: Motion, model: RobotModel, reference: Reference) -> Non
         expected = reference.regressor([body.name for body in model.bodies], *state)
         np.testing.assert_allclose(Y, expected, rtol=0, atol=1e-10 * max(1, np.abs(expected).max()))
         tau = reference.torque(*state)
-        np.testing.assert_allclose(torque[:, n], tau, rtol=0, atol=1e-10 * max(1, np.abs(tau).max()))
+        for predicted in (torque, torque_of_bodies):
+            np.testing.assert_allclose(predicted[:, n], tau, rtol=0, atol=1e-10 * max(1, np.abs(tau).max()))
 
 
 @pytest.mark.parametrize("seed", TREES)

@@ -31,7 +31,7 @@ from idtool.robot.inertia import (
     symmetric_entries,
     symmetric_matrix,
 )
-from idtool.robot.kinematics import body_motions, cross
+from idtool.robot.inverse_dynamics import inverse_dynamics
 from idtool.robot.model import RobotModel
 
 _ROUNDING = 1e-9  # of the inertia's size
@@ -160,14 +160,10 @@ class Payload(LinkEffect):
 
     @override
     def fixed_torque(self, motion: Motion) -> Array:
-        """Joint torque from the force and moment about the body's origin that the payload's motion takes (4)."""
-        body = body_motions(self.chain, motion.q, motion.v, motion.a)[-1]
-        mass, h, inertia = self.pi[0], self.pi[1:4], symmetric_matrix(self.pi[4:])
-        force = mass * body.acc + np.einsum("ijn,j->in", body.M, h)
-        moment = cross(h[:, None], body.acc) + inertia @ body.alpha + cross(body.w, inertia @ body.w)
-        tau = np.zeros_like(motion.q)
-        tau[body.coordinates] = np.einsum("ikn,in->kn", body.S_v, force) + np.einsum("ikn,in->kn", body.S_w, moment)
-        return tau
+        """Joint torque that the payload's motion takes, with all bodies before it massless."""
+        pi = np.zeros((len(self.chain.bodies), PI_SIZE))
+        pi[-1] = self.pi
+        return inverse_dynamics(self.chain, pi, motion.q, motion.v, motion.a)
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:

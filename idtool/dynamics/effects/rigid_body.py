@@ -14,7 +14,8 @@ from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Body
 from idtool.robot.inertia import LENGTH_POWERS, PARAMETER_NAMES, PARAMETER_UNITS, PI_SIZE, mass_com_inertia, skew
-from idtool.robot.kinematics import BodyMotion, body_motions, cross
+from idtool.robot.inverse_dynamics import inverse_dynamics
+from idtool.robot.kinematics import BodyJacobian, BodyMotion, body_jacobians, body_motions, cross
 from idtool.robot.model import RobotModel
 
 _MIN_MASS_SHARE = 0.1  # of the bodies' median mass
@@ -57,18 +58,32 @@ class RigidBodies(Effect):
 
     @override
     def columns(self, motion: Motion, out: Sequence[Array]) -> None:
-        for i, body_motion in enumerate(body_motions(self.model, motion.q, motion.v, motion.a)):
+        motions = body_motions(self.model, motion.q, motion.v, motion.a)
+        jacobians = body_jacobians(self.model, motions)
+        for i, (body_motion, jacobian) in enumerate(zip(motions, jacobians, strict=True)):
             D = _inertia_torque(body_motion)
             body = self.model.bodies[i]
-            for k, joint in enumerate(body_motion.coordinates):
+            for k, joint in enumerate(jacobian.coordinates):
                 first = PI_SIZE * self._position[i, joint]
                 rows = out[joint][first : first + PI_SIZE]
                 parent = body.mount.body
                 moves_parent = parent >= 0 and self._support[parent, joint]
                 if moves_parent:
-                    _write_columns(body_motion, D, k, rows)
+                    _write_columns(body_motion, jacobian, D, k, rows)
                 else:
                     _write_own_axis_columns(body, body_motion, D, body.ratios[joint], rows)
+
+    def torque(self, theta: Array, motion: Motion) -> Array:
+        """Columns times coefficients, shape (nv, N) [N·m or N]; faster than by evaluating the columns.
+
+        Parameters
+        ----------
+        theta
+            The coefficients, shape (m,).
+        motion
+            N samples.
+        """
+        return inverse_dynamics(self.model, theta.reshape(-1, PI_SIZE), motion.q, motion.v, motion.a)
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
@@ -89,13 +104,13 @@ def _write_own_axis_columns(body: Body, motion: BodyMotion, D: Array, ratio: flo
         out[4:] = np.tensordot(axis, D, axes=1)
 
 
-def _write_columns(motion: BodyMotion, D: Array, k: int, out: Array) -> None:
+def _write_columns(motion: BodyMotion, jacobian: BodyJacobian, D: Array, k: int, out: Array) -> None:
     """Write a body's ten columns in one joint's equation: the power of the body's wrench in that joint's motion.
 
     With the body's wrench f = m acc + M h, n = h × acc + I alpha + w × I w (4), the power is S_v · f + S_w · n;
     collected by parameter.
     """
-    S_w, S_v = motion.S_w[:, k], motion.S_v[:, k]
+    S_w, S_v = jacobian.S_w[:, k], jacobian.S_v[:, k]
     np.einsum("in,in->n", S_v, motion.acc, out=out[0])
     np.einsum("in,ijn->jn", S_v, motion.M, out=out[1:4])
     out[1:4] += cross(motion.acc, S_w)

@@ -20,7 +20,7 @@ from idtool.reporting.export.identified import IdentifiedModel
 from idtool.reporting.export.inertia_check import unrealizable_error
 from idtool.robot.body import Body
 from idtool.robot.inertia import parameter_transform, symmetric_entries, symmetric_matrix
-from idtool.robot.kinematics import body_motions
+from idtool.robot.kinematics import body_jacobians, body_motions
 
 _POSES = 256  # in which w is looked at; a function of the pose that is the same in all of them is constant
 _MAX_VARIATION = (
@@ -109,13 +109,14 @@ def averaged_rotors(identified: IdentifiedModel) -> tuple[Rotor, ...]:
         return ()
     q = np.random.default_rng(0).uniform(-3, 3, (len(model.joints), _POSES))
     motions = body_motions(model, q, np.zeros_like(q), np.zeros_like(q))
+    jacobians = body_jacobians(model, motions)
     rotors = []
-    for body, pi, motion in zip(model.bodies, identified.pi, motions, strict=True):
+    for body, pi, jacobian in zip(model.bodies, identified.pi, jacobians, strict=True):
         if body.kind == "rotor":
             if body.axis @ symmetric_matrix(pi[4:]) @ body.axis < 0:
                 raise unrealizable_error(identified.robot, f"rotor {body.name}")
             turning = np.zeros((len(q), _POSES))
-            turning[motion.coordinates] = np.tensordot(body.axis, motion.S_w, axes=1)
+            turning[jacobian.coordinates] = np.tensordot(body.axis, jacobian.S_w, axes=1)
             rotors.append(_average_rotor(body, pi, turning - body.ratios[:, None]))
     return tuple(rotors)
 
