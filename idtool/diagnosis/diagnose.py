@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from idtool.common.notice import Notice, unique
+from idtool.common.processes import Background
 from idtool.diagnosis.confirmation import estimate_on_parts, linear_parameters
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.data_faults.torque_scale import check_torques
@@ -46,7 +48,8 @@ from idtool.diagnosis.unexplained import (
 from idtool.diagnosis.words import distinguishing_experiment, fitted_along_sentence, step_sentence, with_doubts
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.experiment import Experiment, Progress
-from idtool.estimation.fit import Fit, fit
+from idtool.estimation.evaluation.rollouts import RolloutEvaluation
+from idtool.estimation.fit import Fit, fit, simulate_fit, with_simulation
 
 
 @dataclass(frozen=True)
@@ -98,24 +101,26 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     check_torques(experiment)
     experiment, delay = with_unbiased_delay(experiment, progress)
     experiment = replace(experiment, cache=BatchCache())
+    model = with_fixed_inertia(experiment) if options.inertia == "fixed" else experiment
+    first = fit(model, progress)
     before_search = Stages(interrupted=False)
     no_faults: tuple[Notice, ...] = ()
-    faults = before_search.run("the check of the data", partial(find_data_faults, experiment, progress), no_faults)
-    if options.inertia == "fixed":
-        experiment = with_fixed_inertia(experiment)
-    search = _run_search(experiment, options, progress, before_search.is_interrupted)
-
-    stages = Stages(interrupted=search.is_interrupted)
-    first = _fitted(experiment, progress, options.simulate, stages)
+    with _begin_simulation(first, options.simulate) as simulation:
+        faults = before_search.run("the check of the data", partial(find_data_faults, experiment, progress), no_faults)
+        search = _run_search(model, options, progress, before_search.is_interrupted)
+        stages = Stages(interrupted=search.is_interrupted)
+        first = _with_simulation(first, simulation, progress, stages)
     before = errors_of_fit(first)
     simulate = first.simulation is not None  # without that of the first model, there is nothing to compare with
     if not options.assumed:
         order = partial(order_effects, search, before.torque["overall"])
         stages.run("the order of the steps", order, None, is_short=True)
-    last = _fit_with_effects(search, first, simulate, stages)
-    after = errors_of_fit(last)
 
-    remaining = _remaining_residual(search, after, stages)
+    last = _fit_with_effects(search, first)
+    with _begin_simulation(last, simulate and last is not first) as simulation:
+        remaining = _remaining_residual(search, errors_of_fit(last), stages)
+        last = _with_simulation(last, simulation, progress, stages)
+    after = errors_of_fit(last)
     steps = with_doubts(_steps(search, first, last, simulate, stages), experiment.model)
     steps = _confirmed(steps, search, remaining, faults, stages)
     steps += _unknown_steps(search, remaining, last, stages)
@@ -157,12 +162,19 @@ def _run_search(experiment: Experiment, options: Options, progress: Progress, is
     return search
 
 
-def _fitted(experiment: Experiment, progress: Progress, simulate: bool, stages: Stages) -> Fit:
-    """Fitted model, simulated too if that is wanted and nothing prevents it."""
-    fitted = None
-    if simulate:
-        fitted = stages.run("the simulation", partial(fit, experiment, progress, simulate=True), None)
-    return fitted or fit(experiment, progress)
+def _begin_simulation(fitted: Fit, is_wanted: bool) -> Background[RolloutEvaluation] | nullcontext[None]:
+    """Simulation of a fitted model beside what comes next, if it is wanted."""
+    return Background(partial(simulate_fit, fitted)) if is_wanted else nullcontext()
+
+
+def _with_simulation(
+    fitted: Fit, simulation: Background[RolloutEvaluation] | None, progress: Progress, stages: Stages
+) -> Fit:
+    """Fitted model with the result of its simulation, unless something prevents it."""
+    if simulation is None:
+        return fitted
+    rollouts = stages.run("the simulation", partial(simulation.result, progress), None)
+    return fitted if rollouts is None else with_simulation(fitted, rollouts)
 
 
 def _maps(model: Fit, progress: Progress) -> ProfilesByJoint:
@@ -210,11 +222,11 @@ def _confirmed(
     return confirmed
 
 
-def _fit_with_effects(search: EffectSearch, first: Fit, simulate: bool, stages: Stages) -> Fit:
+def _fit_with_effects(search: EffectSearch, first: Fit) -> Fit:
     """Fit with all effects found; those with which it fails are removed, the newest first."""
     while search.reported:
         try:
-            return _fitted(search.model.final_experiment(), search.progress, simulate, stages)
+            return fit(search.model.final_experiment(), search.progress)
         except FAILURES as failure:
             search.remove_failed(search.reported[-1], failure)
     return first

@@ -13,13 +13,16 @@ Letters: F blocks; K coefficients of all probes one after the other, of which a 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.processes import in_processes, process_count
 from idtool.data.column_cache import KeptColumns
 from idtool.data.signals import Batch
 from idtool.diagnosis.linearized_fit import LinearizedFit
@@ -28,6 +31,7 @@ from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Progress, tracked
 from idtool.robot.config import EffectEntry
 
+_MIN_PROBES_TO_SHARE = 32  # among processes: fewer take about as long as to start one
 _MAX_NUMBERS = 1e7  # in memory at once
 _MAX_COLUMNS = 128  # filtered together
 _ROUNDING = 1e-18  # squared norm of a column, in units of the noise, up to which it is 0
@@ -91,6 +95,17 @@ def sum_standard_error(values: Array) -> float:
     return float(np.sqrt(len(values)) * values.std(ddof=1))
 
 
+class _Solution(NamedTuple):
+    """A `ScreenedProbe` without the probe."""
+
+    c: Array
+    covariance: Array
+    gains: Array
+    information: Array
+    inflation: float
+    failure: Exception | None
+
+
 @dataclass
 class _ProbeSums:
     """Gram matrices of all probes, by block.
@@ -126,16 +141,24 @@ def screen_probes(
     stage
         Name of this stage.
     """
-    screened: list[ScreenedProbe] = []
-    for group in _groups_in_memory(linearized, probes):
-        screened += _screen_group(linearized, group, progress, stage)
-    return screened
+    count = process_count() if len(probes) >= _MIN_PROBES_TO_SHARE else 1
+    shares = [range(first, len(probes), count) for first in range(count)]  # neighbours take about as long
+
+    def solutions_of(share: range, progress: Progress) -> list[_Solution]:
+        solutions: list[_Solution] = []
+        for group in _groups_in_memory(linearized, [probes[i] for i in share]):
+            solutions += _solve_group(linearized, group, progress, stage)
+        return solutions
+
+    screened: dict[int, ScreenedProbe] = {}
+    for share, solutions in zip(shares, in_processes(solutions_of, shares, progress), strict=True):
+        for i, solution in zip(share, solutions, strict=True):
+            screened[i] = ScreenedProbe(probes[i], *solution)
+    return [screened[i] for i in range(len(probes))]
 
 
-def _screen_group(
-    linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str
-) -> list[ScreenedProbe]:
-    """Screen probes together; where that fails, halves of them, until the failing ones are found."""
+def _solve_group(linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str) -> list[_Solution]:
+    """Solve probes together; where that fails, halves of them, until the failing ones are found."""
     try:
         sums = _accumulate(linearized, probes, progress, stage)
         return _solve_all(linearized, probes, sums)
@@ -143,26 +166,29 @@ def _screen_group(
         if len(probes) == 1:
             return [_failed(linearized, probes[0], failure)]
     half = len(probes) // 2
-    first = _screen_group(linearized, probes[:half], progress, stage)
-    return first + _screen_group(linearized, probes[half:], progress, stage)
+    first = _solve_group(linearized, probes[:half], progress, stage)
+    return first + _solve_group(linearized, probes[half:], progress, stage)
 
 
-def _failed(linearized: LinearizedFit, probe: Probe, failure: Exception) -> ScreenedProbe:
-    """Result of a probe that could not be evaluated: it explains nothing."""
+def _failed(linearized: LinearizedFit, probe: Probe, failure: Exception) -> _Solution:
+    """Solution of a probe that could not be evaluated: it explains nothing."""
     k = probe.coefficient_count
     none = np.zeros((k, k))
-    return ScreenedProbe(probe, np.zeros(k), none, np.zeros(linearized.block_count), none, np.nan, failure)
+    return _Solution(np.zeros(k), none, np.zeros(linearized.block_count), none, np.nan, failure)
 
 
 def _groups_in_memory(linearized: LinearizedFit, probes: Sequence[Probe]) -> Iterator[list[Probe]]:
     """Probes in groups whose sums fit into memory."""
     numbers_per_coefficient = linearized.block_count * linearized.directions.shape[1]
     group: list[Probe] = []
+    numbers = 0
     for probe in probes:
         group.append(probe)
-        if numbers_per_coefficient * sum(p.coefficient_count for p in group) > _MAX_NUMBERS:
+        numbers += numbers_per_coefficient * probe.coefficient_count
+        if numbers > _MAX_NUMBERS:
             yield group
             group = []
+            numbers = 0
     if group:
         yield group
 
@@ -265,6 +291,7 @@ def _probe_columns(
         kept = None
     known: dict[int, list[tuple[int, Array]]] = {}  # by joint: first coefficient and filtered columns
     waiting: dict[int, list[tuple[int, Array]]] = {}  # likewise, unfiltered
+    waiting_count: Counter[int] = Counter()
     keys: dict[int, Hashable] = {}  # by first coefficient, of columns that are to be kept
     for start, probe in zip(starts[:-1].tolist(), probes, strict=True):
         if kept is not None and probe.column_key is not None:
@@ -276,10 +303,11 @@ def _probe_columns(
                 continue
             keys[start] = probe.column_key
         for joint, columns in probe.columns(motion, model).items():
-            own = waiting.setdefault(joint, [])
-            own.append((start, columns))
-            if sum(len(x) for _, x in own) >= _MAX_COLUMNS:
+            waiting.setdefault(joint, []).append((start, columns))
+            waiting_count[joint] += len(columns)
+            if waiting_count[joint] >= _MAX_COLUMNS:
                 yield joint, *_filtered(waiting.pop(joint), batch, kept, keys)
+                waiting_count[joint] = 0
     for joint, own in waiting.items():
         yield joint, *_filtered(own, batch, kept, keys)
     for joint, own in known.items():
@@ -304,21 +332,21 @@ def _indices(started_columns: list[tuple[int, Array]]) -> Indices:
     return np.concatenate([start + np.arange(len(columns)) for start, columns in started_columns])
 
 
-def _solve_all(linearized: LinearizedFit, probes: Sequence[Probe], sums: _ProbeSums) -> list[ScreenedProbe]:
+def _solve_all(linearized: LinearizedFit, probes: Sequence[Probe], sums: _ProbeSums) -> list[_Solution]:
     """All probes solved, those with the same number of coefficients together."""
     starts = _coefficient_starts(probes)
-    screened: dict[int, ScreenedProbe] = {}
+    solutions: dict[int, _Solution] = {}
     for k in {probe.coefficient_count for probe in probes}:
         numbers = [i for i, probe in enumerate(probes) if probe.coefficient_count == k]
         index = np.array([np.arange(starts[i], starts[i] + k) for i in numbers])  # (i, k)
         solved = _solve_same_size(linearized, [probes[i] for i in numbers], index, sums)
-        screened.update(zip(numbers, solved, strict=True))
-    return [screened[i] for i in range(len(probes))]
+        solutions.update(zip(numbers, solved, strict=True))
+    return [solutions[i] for i in range(len(probes))]
 
 
 def _solve_same_size(
     linearized: LinearizedFit, probes: Sequence[Probe], index: Indices, sums: _ProbeSums
-) -> list[ScreenedProbe]:
+) -> list[_Solution]:
     """Solve probes of k coefficients each, whose indices are given, shape (i, k)."""
     F = linearized.block_count
     block_P = sums.P[:, :, index]  # (F, r, i, k)
@@ -353,8 +381,7 @@ def _solve_same_size(
     is_determined = independent_variance > 1e-200  # it is 0 for a column that the model has too
     inflation = (variance / np.where(is_determined, independent_variance, np.inf)).mean(axis=1)
     return [
-        ScreenedProbe(probe, c[i], covariance[i], gains[:, i], schur[i], float(inflation[i]))
-        for i, probe in enumerate(probes)
+        _Solution(c[i], covariance[i], gains[:, i], schur[i], float(inflation[i]), None) for i in range(len(probes))
     ]
 
 

@@ -78,13 +78,15 @@ class LinearizedModel:
         self.measured_motion = motion
         self.true_motion = equation.true_motion(motion)
         self._stride = max(1, int(1 / (_RATE * motion.dt)))
+        self._friction_torques: dict[int, Array] = {}
+        self._derivatives: dict[tuple[str, int], Array] = {}
 
     @cached_property
     def residual(self) -> Array:
         """Measured torque less the model's, both as the equation has them, unfiltered; shape (nv, N)."""
         return self.equation.residual(self.measured_motion, self.theta)
 
-    @property
+    @cached_property
     def predicted_torque(self) -> Array:
         """Torque that the model predicts, shape (nv, N)."""
         return self.true_motion.tau - self.residual
@@ -92,9 +94,9 @@ class LinearizedModel:
     def torque_change_by_motion(self, joint: int, dq: Array, dv: Array, da: Array) -> Array:
         """First-order change of the torque where a joint's link, without its rotors, moves by dq, dv and da."""
         change = -np.outer(self._rotor_inertia[joint], da)  # rotors stay with the motor
-        for derivatives, displacement in zip(self._derivatives, (dq, dv, da), strict=True):
+        for name, displacement in zip("qva", (dq, dv, da), strict=True):
             if displacement.any():
-                change += self._at_all_samples(derivatives[joint]) * displacement
+                change += self._derivative(name, joint) * displacement
         return change
 
     def torque_change_by_gravity(self, change: Array) -> Array:
@@ -102,39 +104,41 @@ class LinearizedModel:
         model = self._bodies.model
         changed = RigidBodies(replace(model, gravity=model.gravity + change))
         samples = self._some_samples
-        difference = self._rigid_body_torque(samples, changed) - self._rigid_body_torque(samples, self._bodies)
+        difference = self._rigid_body_torque(samples, changed) - self._torque_at_some_samples
         return self._at_all_samples(difference)
 
     def link_load(self, motion: Motion, joint: int) -> tuple[Array, Array]:
         """Torque and inertia of what a joint's link carries, without the rotors; shape (N,) each."""
         rotor_torque = self._rotor_inertia[joint] @ self.true_motion.a
         rotor_torque = rotor_torque + self._added_rotor_inertia(joint) * motion.a[joint]
-        by_own_acceleration = self._derivatives[2][joint][joint, None]
-        inertia = self._at_all_samples(by_own_acceleration)[0] - self._rotor_inertia[joint, joint]
+        inertia = self._derivative("a", joint)[joint] - self._rotor_inertia[joint, joint]
         return self.predicted_torque[joint] - rotor_torque, inertia
 
     def friction_torque(self, joint: int) -> Array:
         """Friction torque of a joint, shape (N,)."""
-        total = np.zeros(len(self.true_motion.t))
-        for effect, part in self.equation.effect_slices():
-            theta = self.theta[part]
-            active = effect.active[joint]
-            if isinstance(effect, NamedEffect) and effect.is_friction and len(active):
-                total += theta[active] @ _columns(effect, self.true_motion)[joint]
-        return total
+        if joint not in self._friction_torques:
+            total = np.zeros(len(self.true_motion.t))
+            for effect, theta in self._frictions_of(joint):
+                total += theta @ _columns(effect, self.true_motion)[joint]
+            self._friction_torques[joint] = total
+        return self._friction_torques[joint]
 
     def friction_level(self, joint: int) -> Array:
         """Largest friction torque of a joint at each sample, whatever its direction, shape (N,)."""
         level = np.zeros(len(self.true_motion.t))
-        for effect, part in self.equation.effect_slices():
-            theta = self.theta[part]
-            if not (isinstance(effect, NamedEffect) and effect.is_friction and len(effect.active[joint])):
-                continue
+        for effect, theta in self._frictions_of(joint):
             if isinstance(effect, DryFriction):
                 level += np.abs(theta[0] * effect.level(self.true_motion))
             else:
-                level += np.abs(theta[effect.active[joint]] @ _columns(effect, self.true_motion)[joint])
+                level += np.abs(theta @ _columns(effect, self.true_motion)[joint])
         return level
+
+    def _frictions_of(self, joint: int) -> Iterator[tuple[Effect, Array]]:
+        """Effects of a joint's friction, each with the coefficients that act on the joint."""
+        for effect, part in self.equation.effect_slices():
+            active = effect.active[joint]
+            if isinstance(effect, NamedEffect) and effect.is_friction and len(active):
+                yield effect, self.theta[part][active]
 
     @cached_property
     def _bodies(self) -> RigidBodies:
@@ -187,38 +191,25 @@ class LinearizedModel:
         theta = self.theta[: len(bodies.coefficients)]  # the bodies' coefficients come first
         return bodies.torque(theta, motion)
 
+    def _derivative(self, name: str, joint: int) -> Array:
+        """Derivative of all joints' torque of rigid bodies by q, v or a of one joint, shape (nv, N)."""
+        key = name, joint
+        if key not in self._derivatives:
+            self._derivatives[key] = self._at_all_samples(self._finite_difference(name, joint))
+        return self._derivatives[key]
+
+    def _finite_difference(self, name: str, joint: int) -> Array:
+        """Derivative by q, v or a of one joint at some samples, shape (nv, n)."""
+        stepped = getattr(self._some_samples, name).copy()
+        step = _ACCELERATION_STEP if name == "a" else _STEP
+        stepped[joint] += step
+        torque = self._rigid_body_torque(replace(self._some_samples, **{name: stepped}), self._bodies)
+        return (torque - self._torque_at_some_samples) / step
+
     @cached_property
-    def _derivatives(self) -> tuple[list[Array], list[Array], list[Array]]:
-        """Derivatives by q, v and a: for each joint those of all joints' torque, shape (nv, n)."""
-        torque = self._rigid_body_torque(self._some_samples, self._bodies)
-        return (
-            self._finite_differences("q", _STEP, torque),
-            self._finite_differences("v", _STEP, torque),
-            self._finite_differences("a", _ACCELERATION_STEP, torque),
-        )
-
-    def _finite_differences(self, name: str, step: float, torque: Array) -> list[Array]:
-        """Derivatives of the rigid bodies' torque by q, v or a of each joint, shape (nv, n) each.
-
-        All joints' steps are evaluated as one motion, since that of few samples takes little longer than that of one.
-        """
-        samples = self._some_samples
-        nv, n = samples.q.shape
-        motion = replace(
-            samples,
-            t=np.tile(samples.t, nv),
-            q=np.tile(samples.q, nv),
-            v=np.tile(samples.v, nv),
-            a=np.tile(samples.a, nv),
-            tau=np.tile(samples.tau, nv),
-            logged_tau=np.tile(samples.logged_tau, nv),
-        )
-        stepped = getattr(motion, name)
-        for joint in range(nv):
-            stepped[joint, joint * n : (joint + 1) * n] += step
-        torques = self._rigid_body_torque(motion, self._bodies).reshape(nv, nv, n)
-        derivatives = (torques - torque[:, None]) / step
-        return [derivatives[:, joint] for joint in range(nv)]
+    def _torque_at_some_samples(self) -> Array:
+        """Torque of the rigid bodies at some samples, shape (nv, n)."""
+        return self._rigid_body_torque(self._some_samples, self._bodies)
 
 
 def _columns(effect: Effect, motion: Motion) -> list[Array]:

@@ -160,12 +160,7 @@ def fit(
     notices += analysis.notices
     clock.stop("uncertainty")
 
-    simulation = None
-    if simulate:
-        simulation = evaluate_rollouts(experiment, models, held_out, progress)
-        notices += simulation_notices(simulation, "identified")
-    clock.stop("simulate")
-    return Fit(
+    fitted = Fit(
         experiment=experiment,
         method=method,
         sets=identification.sets,
@@ -175,11 +170,27 @@ def fit(
         uncertainty_analysis=analysis,
         train=train,
         validation=validation,
-        simulation=simulation,
+        simulation=None,
         notices=tuple(notices),
         seconds=clock.seconds,
         delay=delay,
     )
+    if simulate:
+        fitted = with_simulation(fitted, simulate_fit(fitted, progress))
+    clock.stop("simulate")
+    return fitted
+
+
+def simulate_fit(fitted: Fit, progress: Progress) -> RolloutEvaluation:
+    """Rollouts of an identified model and of its prior, on what was held out, else on the training data."""
+    models = {"identified": fitted.estimate.theta, "prior": fitted.experiment.equation.prior}
+    return evaluate_rollouts(fitted.experiment, models, fitted.has_held_out, progress)
+
+
+def with_simulation(fitted: Fit, simulation: RolloutEvaluation) -> Fit:
+    """A fit with rollouts of its models, and what there is to say about them."""
+    notices = simulation_notices(simulation, "identified")
+    return replace(fitted, simulation=simulation, notices=(*fitted.notices, *notices))
 
 
 class _Clock:

@@ -202,14 +202,14 @@ def test_effects_stay_where_the_simulation_fails(
     arm: Experiment, monkeypatch: pytest.MonkeyPatch, effects: int, failure: BaseException
 ) -> None:
     """That of the model without effects, or that of the last one."""
-    inner = module.fit
+    inner = module.simulate_fit
 
-    def fit(experiment: Experiment, progress: Any, simulate: bool = False) -> Any:
-        if simulate and len(experiment.config.effects) == effects:
+    def simulate_fit(fitted: Any, progress: Any) -> Any:
+        if len(fitted.experiment.config.effects) == effects:
             raise failure
-        return inner(experiment, progress, simulate)
+        return inner(fitted, progress)
 
-    monkeypatch.setattr(module, "fit", fit)
+    monkeypatch.setattr(module, "simulate_fit", simulate_fit)
     found = diagnose(arm, Options(effects=EFFECTS), silent)
     assert named(found) == {SPRING, OFFSET}
     assert found.last.simulation is None

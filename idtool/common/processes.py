@@ -1,0 +1,118 @@
+"""Evaluations in copies of this process, so that all processor cores are used."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from functools import partial
+from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Generic, TypeVar, cast
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Progress = Callable[[str, float], None]
+
+
+def process_count() -> int:
+    """Number of processes that can work at once.
+
+    It is 1 where a process cannot be copied safely, as on macOS and Windows, and in a process that is a copy itself.
+    """
+    if not sys.platform.startswith("linux") or multiprocessing.current_process().daemon:
+        return 1
+    return len(os.sched_getaffinity(0))
+
+
+def in_processes(
+    evaluate: Callable[[Item, Progress], Result], items: Sequence[Item], progress: Progress
+) -> list[Result]:
+    """Result of each item, in their order; the first is evaluated in this process, the others in copies of it.
+
+    Parameters
+    ----------
+    evaluate
+        Function of an item and a callback for the progress; see `Background`.
+    items
+        The items, not many more than `process_count`.
+    progress
+        Callback for the stage and its progress, from 0 to 1, of the first item.
+    """
+    if not items:
+        return []
+    first, *others = items
+    with ExitStack() as stack:
+        copies = [stack.enter_context(Background(partial(evaluate, item))) for item in others]
+        results = [evaluate(first, progress)]
+        results += [copy.result(progress) for copy in copies]
+    return results
+
+
+class Background(Generic[Result]):
+    """An evaluation in a copy of this process, begun at once; where there is none, when its result is asked for.
+
+    A copy has all that this process has, so that only the result is sent. It must be possible to pickle. What fails in
+    a copy is evaluated again here, so that the failure is raised as if there were no copies.
+
+    Parameters
+    ----------
+    evaluate
+        Function of a callback for the progress, which is that of `result`, or does nothing in a copy.
+    """
+
+    def __init__(self, evaluate: Callable[[Progress], Result]) -> None:
+        self._evaluate = evaluate
+        self._process = None
+        if process_count() == 1:
+            return
+        self._receiver, sender = multiprocessing.Pipe(duplex=False)
+        context = multiprocessing.get_context("fork")
+        self._process = context.Process(target=_evaluate_and_send, args=(evaluate, sender), daemon=True)
+        with warnings.catch_warnings():
+            # The other threads are a progress bar's and a linear algebra library's; a copy uses the locks of neither.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            self._process.start()
+        sender.close()
+
+    def result(self, progress: Progress) -> Result:
+        """Result of the evaluation; raises what it raises.
+
+        Parameters
+        ----------
+        progress
+            Callback for the stage and its progress, from 0 to 1, if it is evaluated here.
+        """
+        if self._process is not None:
+            with suppress(Exception):  # it failed, or its result cannot be read
+                return cast("Result", self._receiver.recv())
+        return self._evaluate(progress)
+
+    def __enter__(self) -> Background[Result]:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the copy, if it has not ended by itself."""
+        if self._process is not None:
+            self._receiver.close()
+            self._process.terminate()
+            self._process.join()
+
+
+def _evaluate_and_send(evaluate: Callable[[Progress], Result], sender: Connection) -> None:
+    """Send the result, or nothing if the evaluation fails."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes, and the first one ends the others
+    try:
+        sender.send(evaluate(_no_progress))
+    except BaseException:  # the first process finds the same
+        os._exit(1)
+
+
+def _no_progress(stage: str, share: float) -> None:
+    """Show nothing: the first process shows its own progress."""

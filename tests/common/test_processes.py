@@ -1,0 +1,113 @@
+"""Evaluations in copies of this process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from idtool.common import processes
+from idtool.common.processes import Background, in_processes, process_count
+
+Progress = Callable[[str, float], None]
+
+
+def silent(stage: str, share: float) -> None:
+    """Show nothing."""
+
+
+@pytest.fixture(params=[1, 2])
+def cores(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Number of processes that can work at once, outside copies."""
+    here = os.getpid()
+    monkeypatch.setattr(processes, "process_count", lambda: request.param if os.getpid() == here else 1)
+    return int(request.param)
+
+
+def test_results_are_in_the_order_of_the_items(cores: int) -> None:
+    def square(item: int, progress: Progress) -> int:
+        return item**2
+
+    assert in_processes(square, range(5), silent) == [0, 1, 4, 9, 16]
+    assert in_processes(square, [], silent) == []
+
+
+def test_only_the_first_item_is_evaluated_here_if_there_are_cores(cores: int) -> None:
+    def where(item: str, progress: Progress) -> bool:
+        return os.getpid() == here
+
+    here = os.getpid()
+    assert in_processes(where, ["first", "second"], silent) == [True, cores == 1]
+
+
+def test_a_copy_shows_no_progress(cores: int) -> None:
+    def tell(item: str, progress: Progress) -> None:
+        progress(item, 0.5)
+
+    told: list[str] = []
+    in_processes(tell, ["first", "second"], lambda stage, share: told.append(stage))
+    assert told == (["first", "second"] if cores == 1 else ["first"])
+
+
+def test_a_failure_in_a_copy_is_raised_here(cores: int) -> None:
+    def divide(item: int, progress: Progress) -> float:
+        return 1 / item
+
+    with pytest.raises(ZeroDivisionError):
+        in_processes(divide, [1, 0], silent)
+
+
+@pytest.mark.parametrize("end", [lambda: os._exit(3), lambda: os.kill(os.getpid(), signal.SIGKILL)])
+def test_what_a_copy_could_not_finish_is_evaluated_here(cores: int, end: Callable[[], None]) -> None:
+    def evaluate(progress: Progress) -> str:
+        if os.getpid() != here:
+            end()
+        return "done"
+
+    here = os.getpid()
+    with Background(evaluate) as background:
+        assert background.result(silent) == "done"
+
+
+def test_a_result_that_cannot_be_sent_is_evaluated_here(cores: int) -> None:
+    def evaluate(progress: Progress) -> Any:
+        return threading.Lock()
+
+    with Background(evaluate) as background:
+        assert background.result(silent) is not None
+
+
+def test_no_copy_is_left_behind(cores: int) -> None:
+    def evaluate(progress: Progress) -> None:
+        time.sleep(60)
+
+    started = time.monotonic()
+    with Background(evaluate) as background:
+        copy = background._process
+    assert copy is None or not copy.is_alive()
+    assert time.monotonic() - started < 30
+
+
+def test_ctrl_c_ends_the_copies_with_the_first_process() -> None:
+    def interrupt_or_wait(item: str, progress: Progress) -> None:
+        if item == "first":
+            raise KeyboardInterrupt
+        time.sleep(60)
+
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        in_processes(interrupt_or_wait, ["first", "second"], silent)
+    assert time.monotonic() - started < 30
+
+
+def test_a_copy_does_not_copy_itself() -> None:
+    def count(item: str, progress: Progress) -> int:
+        return process_count()
+
+    here, in_copy = in_processes(count, ["first", "second"], silent)
+    assert in_copy == 1 or here == 1
