@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from idtool.common.exceptions import ConfigError
+from idtool.common.processes import in_processes, process_count
 from idtool.diagnosis.bursts import find_bursts
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
@@ -114,6 +115,7 @@ class EffectSearch:
         self.failed: dict[tuple[str, str], str] = {}
         self._refused: set[ProbeKey] = set()  # candidates with which the present model is worse
         self._superseded: set[ProbeKey] = set()  # effects that later ones have made unnecessary
+        self._best_of_all: list[AddedEffect] = []  # those found among effects of all kinds
         self.model = ExtendedModel(experiment, self.progress)
         self.initial = self.current
         self._keep_as_complete()
@@ -271,6 +273,8 @@ class EffectSearch:
             if reason:
                 self._refuse(selection.winner, reason)
                 continue
+            if effects is self._effects:
+                self._best_of_all.append(self.added[-1])
             self._refused.clear()  # beside this effect, another one may be better
             self._prune()
             self._keep_as_complete()
@@ -346,11 +350,42 @@ class EffectSearch:
 
     def _replace_one(self) -> bool:
         """Replace an effect by one that explains more; False if none does."""
-        return any(self._replace([effect]) for effect in self.reported)
+        return self._replace_first([(effect,) for effect in self.reported])
 
     def _replace_two(self) -> bool:
         """Replace two effects by one that explains as much; False if none does."""
-        return any(self._replace(pair) for pair in combinations(self.reported, 2))
+        return self._replace_first(list(combinations(self.reported, 2)))
+
+    def _replace_first(self, choices: Sequence[tuple[AddedEffect, ...]]) -> bool:
+        """Replace the first of several sets of effects for which another one is better; False if there is none."""
+        choices = [replaced for replaced in choices if not self._is_found_again(replaced)]
+        count = process_count()
+        shares = [range(first, len(choices), count) for first in range(min(count, len(choices)))]
+
+        def first_replaceable(share: range, progress: Progress) -> int | None:
+            self._report_progress = progress
+            return next((i for i in share if self._is_replaceable(choices[i])), None)
+
+        found = [i for i in in_processes(first_replaceable, shares, self._report_progress) if i is not None]
+        return self._replace(choices[min(found)]) if found else False
+
+    def _is_found_again(self, replaced: Sequence[AddedEffect]) -> bool:
+        """True if one of some effects was the best beside exactly the others, so that it would be found once more."""
+        others = [effect.entry for effect in self.added if effect not in replaced]
+        present = _subjects([*self.model.given, *others])
+        for effect in replaced:
+            base = effect.selection.base
+            is_alike = base.reversal_margin == self.current.reversal_margin
+            if effect in self._best_of_all and is_alike and _subjects(base.experiment.config.effects) == present:
+                return True
+        return False
+
+    def _is_replaceable(self, replaced: Sequence[AddedEffect]) -> bool:
+        """True if the model is better with another effect in place of some."""
+        before = self.model.state()
+        is_better = self._add_in_place_of(replaced)
+        self.model.restore(before)
+        return is_better
 
     def _replace(self, replaced: Sequence[AddedEffect]) -> bool:
         """Replace effects by the one that explains most without them, if the model is better with it."""
@@ -479,6 +514,11 @@ class EffectSearch:
             effect.entry = entry
         if self.model.try_refit():
             self.model.restore(before)
+
+
+def _subjects(entries: Sequence[EffectEntry]) -> list[tuple[str, str]]:
+    """Effects and what they act on, in alphabetical order."""
+    return sorted((entry.effect, entry.joint or entry.link or "") for entry in entries)
 
 
 def _without_undetermined(effect: AddedEffect) -> EffectEntry:

@@ -25,7 +25,7 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.data.signals import Batch
 from idtool.diagnosis.noise_gain import noise_gain_of
-from idtool.dynamics.effects import NamedEffect, effect_from_entry
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, cut_into_blocks, merge_reductions
@@ -188,7 +188,9 @@ def linearize_fit(
         noise = free_noise(equation, reduction, experiment.equalities)
         noise_gain = noise_gain_of(experiment, noise)
     else:
-        noise_gain = noise_gain_of(experiment, reference.noise)
+        noise_gain = reference.noise_gain
+        if _torque_using_effects(experiment) != _torque_using_effects(reference.experiment):
+            noise_gain = noise_gain_of(experiment, reference.noise)
         noise = reference.noise * noise_gain / reference.noise_gain
         if _has_torque_sensor_effect(experiment) or _has_torque_sensor_effect(reference.experiment):
             noise = noise * rms_torque / reference.rms_torque
@@ -234,6 +236,11 @@ def _estimate(experiment: Experiment, reduction: Reduction, noise: Array) -> Est
         noise,
         config.solver.backend,
     )
+
+
+def _torque_using_effects(experiment: Experiment) -> list[EffectEntry]:
+    """Effects that use the measured torque, and thus can cancel its noise."""
+    return [entry for entry in experiment.config.effects if effect_types()[entry.effect].uses_measured_torque]
 
 
 def _has_torque_sensor_effect(experiment: Experiment) -> bool:

@@ -48,6 +48,9 @@ class LinearModel:
     effects: tuple[Effect, ...]
     operating_point: Mapping[tuple[str, str, str, tuple[float, ...]], float] = field(default_factory=dict)
     _true_motions: dict[IdentityKey, Motion] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _masks: dict[IdentityKey, dict[int, list[Mask]]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         for effect in self.effects:
@@ -262,8 +265,17 @@ class LinearModel:
 
     def _invalid_masks(self, batch: Batch, is_friction: bool | None = None) -> dict[int, list[Mask]]:
         """By joint, the masks of its effects' invalid samples, shape (N,) each; of friction or of others, or of all."""
+        if is_friction is not None or batch.motion.kept_columns is None:
+            return self._evaluated_masks(batch.motion, is_friction)
+        key = IdentityKey(batch.motion)
+        if key not in self._masks:
+            self._masks[key] = self._evaluated_masks(batch.motion)
+        return self._masks[key]
+
+    def _evaluated_masks(self, motion: Motion, is_friction: bool | None = None) -> dict[int, list[Mask]]:
+        """`_invalid_masks` along a motion."""
         masks: dict[int, list[Mask]] = {}
-        true = self.true_motion(batch.motion)
+        true = self.true_motion(motion)
         for effect in self.effects:
             if is_friction is not None and is_friction != (isinstance(effect, NamedEffect) and effect.is_friction):
                 continue

@@ -43,9 +43,9 @@ class Backlash(FixedJointEffect):
     other at 200 Hz, half critically damped: needs a rotor or `rotor_inertia` on the joint.
 
     In the torque equation the link's motion is the measured one less the position of the motor within the play. While
-    the teeth are apart, the motor moves as measured and the link falls freely, so that the play closes with carried
+    the teeth are apart, the motor moves as measured and the link falls freely, so that the play closes with transmitted
     torque / the link's inertia, both as the model without the play has them; where teeth meet they stay. Of friction,
-    ``motor_friction``, a share that may be left out, acts on the motor side, and is not carried.
+    ``motor_friction``, a share that may be left out, acts on the motor side, and is not transmitted.
     """
 
     id = "backlash"
@@ -61,7 +61,8 @@ class Backlash(FixedJointEffect):
 
     def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, nonlinear_values)
-        self._model_along: Callable[[Motion], Linearization] | None = None
+        self._rigid_joint_model: Callable[[Motion], Linearization] | None = None
+        self._latest: tuple[Motion, Array] | None = None  # a motion, and the motor's position in the play along it
 
     @classmethod
     @override
@@ -92,7 +93,8 @@ class Backlash(FixedJointEffect):
         linearized: Linearization,
     ) -> Array:
         """Total change of the torque by the play; its fitted coefficient should be 1."""
-        return _torque_change(motion, joint, nonlinear_values, linearized)
+        position = _motor_in_play(motion, joint, nonlinear_values, linearized)
+        return _torque_change(position, motion.dt, joint, linearized)
 
     @classmethod
     @override
@@ -101,24 +103,32 @@ class Backlash(FixedJointEffect):
 
     @override
     def set_operating_point(self, model: Callable[[Motion], Linearization], theta: Array) -> None:
-        self._model_along = model
+        self._rigid_joint_model = model
+        self._latest = None
 
     @override
     def fixed_torque(self, motion: Motion) -> Array | None:
-        if self._model_along is None:
+        if self._rigid_joint_model is None:
             return None
-        return _torque_change(motion, self.joint, self.nonlinear_values, self._model_along(motion))
+        model = self._rigid_joint_model(motion)
+        return _torque_change(self._motor_position(motion, model), motion.dt, self.joint, model)
 
     @override
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
         """Samples while the teeth are apart and until their impact has decayed, on all joints that it shakes."""
-        if self._model_along is None:
+        if self._rigid_joint_model is None:
             return {}
-        position = _motor_in_play(motion, self.joint, self.nonlinear_values, self._model_along(motion))
+        position = self._motor_position(motion, self._rigid_joint_model(motion))
         apart = np.abs(np.gradient(position)) > _APART_SPEED * self.nonlinear_values["width"]
         reach = max(round(_IMPACT_DECAY / motion.dt), 1)
         mask = ndimage.binary_dilation(apart, iterations=reach)
         return dict.fromkeys(range(len(motion.q)), mask)
+
+    def _motor_position(self, motion: Motion, model: Linearization) -> Array:
+        """Position of the motor within the play, shape (N,)."""
+        if self._latest is None or self._latest[0] is not motion:
+            self._latest = motion, _motor_in_play(motion, self.joint, self.nonlinear_values, model)
+        return self._latest[1]
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
@@ -130,13 +140,22 @@ class Backlash(FixedJointEffect):
         )
 
 
-def _torque_change(
-    motion: Motion, joint: int, nonlinear_values: Mapping[str, float], linearized: Linearization
-) -> Array:
-    """Change of the predicted torque by the play, shape (nv, N); less than all, as a mistimed blip is worse."""
-    position = _motor_in_play(motion, joint, nonlinear_values, linearized)
-    velocity = np.gradient(position, motion.dt)
-    acceleration = np.gradient(velocity, motion.dt)
+def _torque_change(position: Array, dt: float, joint: int, linearized: Linearization) -> Array:
+    """Change of the predicted torque by the play, shape (nv, N); less than all, as a mistimed blip is worse.
+
+    Parameters
+    ----------
+    position
+        Position of the motor within the play, shape (N,).
+    dt
+        Time between samples [s].
+    joint
+        Index of the joint.
+    linearized
+        The model without the play.
+    """
+    velocity = np.gradient(position, dt)
+    acceleration = np.gradient(velocity, dt)
     return _BLIP_SHARE * linearized.torque_change_by_motion(joint, -position, -velocity, -acceleration)
 
 
@@ -148,10 +167,10 @@ def _motor_in_play(
     Teeth give when they meet: two lags of 2 ms, as good as the spring of `add_to_forward_model`. When they meet is
     known no better than to some milliseconds, and a blip that comes too early or too late explains less than none.
     """
-    carried, inertia = linearized.link_load(motion, joint)
+    transmitted, inertia = linearized.link_load(motion, joint)
     if nonlinear_values["motor_friction"]:
-        carried = carried - nonlinear_values["motor_friction"] * linearized.friction_torque(joint)
-    acceleration = carried / np.maximum(inertia, _MIN_INERTIA)
+        transmitted = transmitted - nonlinear_values["motor_friction"] * linearized.friction_torque(joint)
+    acceleration = transmitted / np.maximum(inertia, _MIN_INERTIA)
 
     width = nonlinear_values["width"]
     widths = [factor * width for factor in _WIDTH_BLUR]
