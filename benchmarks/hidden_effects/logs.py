@@ -113,7 +113,7 @@ def record(
     steps = _FINE_STEPS if is_stiff else _STEPS
     start = motion.q[:, 0] + errors.position_offset
     plant = Plant(robot, truth, physics, 1 / (RATE * steps), start, motion.v[:, 0], friction)
-    gains = _controller_gains(robot, motion, physics)
+    gains = _controller_gains(robot, truth, motion, physics)
     commanded_tau, q, v = _track(plant, robot, motion, feed_forward, gains, physics, errors, sensors, steps)
     tau = measured_torque(commanded_tau, errors)
     t = motion.t + sensors.time_jitter / RATE * rng.normal(size=len(motion.t))
@@ -185,7 +185,7 @@ def _track(
     return tau, q, v
 
 
-def _controller_gains(robot: Robot, motion: Motion, physics: AddedPhysics) -> tuple[Array, Array]:
+def _controller_gains(robot: Robot, truth: Truth, motion: Motion, physics: AddedPhysics) -> tuple[Array, Array]:
     """Gains kp and kd, shape (n,) each, by the inertia that each joint moves in the middle of its travel.
 
     They are lower where the motor can move without its link, as it would chatter otherwise.
@@ -197,7 +197,9 @@ def _controller_gains(robot: Robot, motion: Motion, physics: AddedPhysics) -> tu
     inertia = np.diag(torque[:, :n] - torque[:, n:])
     bandwidth = np.full(n, _BANDWIDTH)
     for j in physics.transmissions:
-        motor_inertia = robot.joints[j].reflected_inertia
+        joint = robot.joints[j]
+        axis = np.array(joint.axis, float)
+        motor_inertia = joint.gear**2 * float(axis @ truth.rotors[joint.name].inertia @ axis)
         bandwidth[j] = min(_BANDWIDTH, _MAX_MOTOR_DAMPING * motor_inertia / (2 * _DAMPING_RATIO * inertia[j]))
     return bandwidth**2 * inertia, 2 * _DAMPING_RATIO * bandwidth * inertia
 
