@@ -19,7 +19,6 @@ from idtool.common.arrays import Array
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects import Coefficient, Effect, NamedEffect, RigidBodies
 from idtool.dynamics.effects.joint_term import DryFriction
-from idtool.robot.inertia import PI_SIZE, symmetric_matrix
 
 _RATE = 150.0  # Hz, of the samples at which derivatives are evaluated
 _STEP = 1e-5  # rad, rad/s: of a finite difference
@@ -146,15 +145,11 @@ class LinearizedModel:
 
     @cached_property
     def _rotor_inertia(self) -> Array:
-        """Torque that the rotors' spin takes on each joint per acceleration of each, shape (nv, nv)."""
-        nv = len(self.equation.joints)
-        inertia = np.zeros((nv, nv))
-        for i, body in enumerate(self._bodies.model.bodies):
-            if body.kind == "rotor":
-                pi = self.theta[PI_SIZE * i : PI_SIZE * (i + 1)]
-                axial = float(body.axis @ symmetric_matrix(pi[4:]) @ body.axis)
-                inertia += axial * np.outer(body.ratios, body.ratios)
-        return inertia
+        """Torque that the rotors' spin takes on each joint per acceleration of each, shape (nv, nv).
+
+        It is that of the prior: motion alone hardly tells a rotor's inertia from that of the link that it turns.
+        """
+        return self._bodies.model.reflected_inertia()
 
     def _added_rotor_inertia(self, joint: int) -> float:
         """Inertia of a joint's rotors that are not bodies."""

@@ -72,6 +72,19 @@ class RobotModel:
                 support[i] |= support[body.mount.body]
         return support
 
+    def reflected_inertia(self) -> Array:
+        """Reflected inertia of the rotors by their prior, shape (nv, nv) [kg·m² or kg].
+
+        It is the torque on each joint per acceleration of each: a rotor with the inertia I about its own axis, which
+        turns by ratios · q, takes the torque I ratios (ratios · d²q/dt²).
+        """
+        inertia = np.zeros((len(self.joints), len(self.joints)))
+        for body in self.bodies:
+            if body.kind == "rotor":
+                axial = float(body.axis @ symmetric_matrix(body.pi[4:]) @ body.axis)
+                inertia += axial * np.outer(body.ratios, body.ratios)
+        return inertia
+
 
 def build_model(robot: Robot, config: Config, logged: Iterable[str]) -> RobotModel:
     """The model of a robot of which some joints were logged.

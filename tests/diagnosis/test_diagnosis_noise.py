@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from commands import SAMPLES
 from disturbed import silent
@@ -11,7 +12,11 @@ from sentences import sentences
 
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.noise_gain import noise_gain_with_probe
+from idtool.diagnosis.selection_round import find_best_effect
+from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import with_effects
+from idtool.dynamics.effects.joint_elasticity import JointElasticity
 from idtool.estimation.dataset.experiment import prepare
 from idtool.robot.config import EffectEntry, read_config
 from idtool.robot.urdf.reading import read_robot
@@ -43,3 +48,23 @@ def test_the_noise_that_a_soft_joint_cancels_does_not_depend_on_gaps(tmp_path: P
         ratios.append(elastic.noise / reference.noise)
     assert ratios[0][0] < 0.85
     assert ratios[1] == pytest.approx(ratios[0], abs=0.03)
+
+
+def test_what_an_elastic_joint_cancels_of_the_noise_is_known_before_it_is_fitted() -> None:
+    """To first order, and that of the fitted model; a rigid leg, whose joints would be soft by their noise alone."""
+    rigid = prepare(read_robot(SAMPLES / "leg.urdf"), read_config(SAMPLES / "leg.yaml"), [SAMPLES / "leg_train.mcap"])
+    base = linearize_fit(rigid, silent)
+    summary = summarize_data(base)
+    joint = summary.model.names.index("abad")
+    probe = JointElasticity.probe(summary, joint, {"motor_friction": 1.0})
+    compliance = 1 / 3600.0
+    first_order = noise_gain_with_probe(rigid, base.theta, base.noise, probe, np.array([compliance]))
+    soft = EffectEntry(effect="joint_elasticity", joint="abad", parameters={"stiffness": 3600.0, "motor_friction": 1.0})
+    fitted = linearize_fit(with_effects(rigid, [soft], base.theta), silent, base).noise_gain
+    assert fitted[joint] < 0.9
+    assert first_order == pytest.approx(fitted, abs=0.03)
+
+    step = find_best_effect(base, base, silent, ("joint_elasticity",))
+    reasons = {one.target: one.reason for one in step.rejected}
+    assert step.winner is None
+    assert "explains only noise of the measured torque" in reasons.values()

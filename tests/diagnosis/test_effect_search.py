@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from disturbed import Hidden, experiment_of, silent, torque_on_joint
 
 from idtool.common.exceptions import SolverError
-from idtool.diagnosis import effect_order, selection_round
+from idtool.diagnosis import effect_order, effect_search, selection_round
 from idtool.diagnosis.effect_order import first_harmful, order_effects
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
-from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN
 from idtool.diagnosis.trial import with_fixed_inertia
 from idtool.estimation.dataset.experiment import Experiment
@@ -81,6 +82,26 @@ def test_two_effects_give_way_to_one_that_explains_as_much(tmp_path: Path) -> No
     assert [sentence.split(",")[0] for sentence in search.removed] == [
         f"{effect} on j1 was replaced by parallel_spring on j1" for effect in ("torque_offset", "end_stop")
     ]
+
+
+def test_what_was_found_beside_the_same_effects_is_not_searched_for_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of two effects, only the first can give way to another one that the second has made better."""
+    experiment = experiment_of(tmp_path, together(spring, offset), rows=slice(8000))
+    search = EffectSearch(experiment, ("parallel_spring", "torque_offset"), 4, silent)
+    search._add_effects()
+    assert len(owners(search)) == 2
+    searched = []
+    inner = effect_search.find_best_effect
+
+    def find_best_effect(base: LinearizedFit, *others: Any) -> Any:
+        searched.append([(entry.effect, entry.joint) for entry in base.experiment.config.effects if entry.joint])
+        return inner(base, *others)
+
+    monkeypatch.setattr(effect_search, "find_best_effect", find_best_effect)
+    search._replace_effects()
+    assert searched == [[owners(search)[1]]]
 
 
 def test_two_effects_that_are_there_stay(tmp_path: Path) -> None:

@@ -20,7 +20,6 @@ from idtool.dynamics.effects.fixed_effect import FixedJointEffect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.mechanism import Mechanism, Transmission
-from idtool.robot.inertia import symmetric_matrix
 from idtool.robot.model import RobotModel
 
 _DAMPING_RATIO = 0.05  # harmonic drives and belts have a few per cent
@@ -86,7 +85,7 @@ class JointElasticity(FixedJointEffect):
 
     def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, nonlinear_values)
-        self._reflected_inertia = _reflected_inertia(model)
+        self._reflected_inertia = model.reflected_inertia()
         self._rigid_joint_model: Callable[[Motion], Linearization] | None = None
 
     @classmethod
@@ -323,21 +322,6 @@ def _power_density(x: Array, dt: float) -> tuple[Array, Array]:
     """
     f, power = welch(x, 1 / dt, nperseg=min(_WELCH_SAMPLES, x.shape[-1]))
     return np.asarray(f), np.asarray(power)
-
-
-def _reflected_inertia(model: RobotModel) -> Array:
-    """Reflected inertia of the rotors by their prior, shape (nv, nv) [kg·m² or kg].
-
-    It is the torque on each joint per acceleration of each: a rotor with the inertia I about its own axis, which turns
-    by ratios · q, takes the torque I ratios (ratios · d²q/dt²).
-    """
-    nv = len(model.joints)
-    inertia = np.zeros((nv, nv))
-    for body in model.bodies:
-        if body.kind == "rotor":
-            axial = float(body.axis @ symmetric_matrix(body.pi[4:]) @ body.axis)
-            inertia += axial * np.outer(body.ratios, body.ratios)
-    return inertia
 
 
 def _near_reversals(v: Array, time: float, dt: float) -> Mask:
