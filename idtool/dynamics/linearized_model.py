@@ -19,9 +19,11 @@ from idtool.common.arrays import Array
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects import Coefficient, Effect, NamedEffect, RigidBodies
 from idtool.dynamics.effects.joint_term import DryFriction
+from idtool.robot.inertia import PI_SIZE
 
 _RATE = 150.0  # Hz, of the samples at which derivatives are evaluated
 _STEP = 1e-5  # rad, rad/s: of a finite difference
+_MAX_ROTOR_CHANGE = 0.1  # of a rotor's inertia by its prior: data sheets are no worse
 _ACCELERATION_STEP = 1.0  # rad/s²: the torque is linear in a
 
 
@@ -147,9 +149,20 @@ class LinearizedModel:
     def _rotor_inertia(self) -> Array:
         """Torque that the rotors' spin takes on each joint per acceleration of each, shape (nv, nv).
 
-        It is that of the prior: motion alone hardly tells a rotor's inertia from that of the link that it turns.
+        On the first joints of a chain, motion does not tell a rotor's inertia from that of the link that it turns. An
+        identified one that is far from its prior is taken for such a case, and the prior is used.
         """
-        return self._bodies.model.reflected_inertia()
+        bodies = self._bodies.model.bodies
+        identified = self.theta[: PI_SIZE * len(bodies)].reshape(-1, PI_SIZE)
+        nv = len(self.equation.joints)
+        inertia = np.zeros((nv, nv))
+        for body, pi in zip(bodies, identified, strict=True):
+            if body.kind == "rotor":
+                prior = body.axial_inertia(body.pi)
+                axial = body.axial_inertia(pi)
+                is_near = abs(axial - prior) < _MAX_ROTOR_CHANGE * prior
+                inertia += (axial if is_near else prior) * np.outer(body.ratios, body.ratios)
+        return inertia
 
     def _added_rotor_inertia(self, joint: int) -> float:
         """Inertia of a joint's rotors that are not bodies."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import parameter_transform
+from idtool.robot.inertia import parameter_transform, symmetric_matrix
 from idtool.robot.shapes import Shape
 
 
@@ -91,6 +91,10 @@ class Body:
     members: tuple[Member, ...] = ()
     shapes: tuple[Shape, ...] = ()
     com: tuple[float, float, float] | None = None
+
+    def axial_inertia(self, pi: Array) -> float:
+        """Moment of inertia about the body's axis [kg·m²] with parameters in its frame, shape (10,)."""
+        return float(self.axis @ symmetric_matrix(pi[4:]) @ self.axis)
 
     def with_mirrored_bounds(self, other: Body, signs: Array) -> Body:
         """The body with the mirror image of another's bounds, in which x, y and z have these signs, shape (3,)."""

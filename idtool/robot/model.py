@@ -81,8 +81,7 @@ class RobotModel:
         inertia = np.zeros((len(self.joints), len(self.joints)))
         for body in self.bodies:
             if body.kind == "rotor":
-                axial = float(body.axis @ symmetric_matrix(body.pi[4:]) @ body.axis)
-                inertia += axial * np.outer(body.ratios, body.ratios)
+                inertia += body.axial_inertia(body.pi) * np.outer(body.ratios, body.ratios)
         return inertia
 
 
