@@ -201,3 +201,20 @@ def test_a_link_carries_what_pinocchio_says_of_the_tree_without_the_rotor(
     found, m = plain.reference(), case.motion
     M = [slopes(found, *state)[2][0, 0] for state in zip(m.q.T, m.v.T, m.a.T, strict=True)]
     np.testing.assert_allclose(inertia, M, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("factor", "is_rotors"), [(1.05, True), (0.5, False)])
+def test_an_identified_rotor_inertia_counts_only_near_its_prior(
+    robot_of: ReadRobot, factor: float, is_rotors: bool
+) -> None:
+    """What is identified far from it belongs to the link, from whose inertia the motion does not tell it."""
+    case = Case(robot_of, 0, rotor=True)
+    equation, motion = case.linearized.equation, case.motion
+    theta = case.linearized.theta.copy()
+    for i, coefficient in enumerate(equation.coefficients):
+        if coefficient.owner == "motor" and coefficient.name.startswith("I"):
+            theta[i] *= factor
+    _, inertia = case.linearized.link_load(motion, 0)
+    _, changed = LinearizedModel(equation, theta, motion).link_load(motion, 0)
+    gained = 0.0 if is_rotors else (factor - 1) * SPIN * RATIO**2
+    np.testing.assert_allclose(changed, inertia + gained, rtol=1e-6)
