@@ -42,6 +42,8 @@ _STEP_LENGTHS = (1.0, 0.3)  # of a Gauss-Newton step, tried in turn
 _MIN_STEP_GAIN = 1e-4  # of the squared residual, that makes another step worthwhile
 _RANGE_MARGIN = 2.0  # ratio by which a range exceeds the values that the search tries, at both ends
 _GRID_RATIOS = (0.8, 0.86, 0.93, 1.0, 1.07, 1.15, 1.24)  # to the present value, tried in a grid search
+_GRID_SHARE_STEPS = (-0.15, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15)  # from the present share of a maximum, likewise
+_GRID_PASSES = 2  # over the parameters of a grid search
 _NEAR_BEST_RATIO = 0.9  # to the largest gain, from which a value is as good as the best
 _UNBOUNDED: Range = (-np.inf, np.inf)
 _FIXED_INERTIA = "--inertia fixed"
@@ -132,7 +134,7 @@ def fit_trial(
     """Fit a model with other effects, on the rows and in the units of another fit.
 
     Parameters on which the columns depend smoothly take Gauss-Newton steps, all together. Before that, those with which
-    the columns jump are searched for on a grid, one after the other.
+    the columns jump are searched for on a grid, effect by effect.
 
     Parameters
     ----------
@@ -157,9 +159,9 @@ def fit_trial(
     ranges = _parameter_ranges(before, entries, moving)
     for i in moving:
         kind = effect_types()[entries[i].effect]
-        if issubclass(kind, JointEffect):
-            for name in kind.grid_parameters():
-                current, errors[i, name] = _grid_search(current, i, kind, name, progress)
+        if issubclass(kind, JointEffect) and kind.grid_parameters():
+            current, grid_errors = _grid_search(current, i, kind, progress)
+            errors |= grid_errors
 
     for _ in range(max_steps):
         keys = _gradient_keys(current.experiment.config.effects, moving)
@@ -283,12 +285,13 @@ def _moved_value(entry: EffectEntry, name: str, step: float, bounds: Range) -> f
 
 
 def _grid_search(
-    current: LinearizedFit, i: int, kind: type[JointEffect], name: str, progress: Progress
-) -> tuple[LinearizedFit, float]:
-    """Fit with the value near the present one that explains most, and the value's standard error.
+    current: LinearizedFit, i: int, kind: type[JointEffect], progress: Progress
+) -> tuple[LinearizedFit, dict[ParameterKey, float]]:
+    """Fit with the values near the present ones that explain most, and the values' standard errors.
 
-    Each value is a probe about the model without the effect. The standard error is half the range of values that
-    explain nearly as much as the best, at least half a step of the grid.
+    Parameters are searched for in turn, since the best value of one depends on those of the others. Each set of values
+    is a probe about the model without the effect. A standard error is half the range of values that explain nearly as
+    much as the best, at least half a step of the grid.
 
     Parameters
     ----------
@@ -296,31 +299,44 @@ def _grid_search(
         Fit of the model with the effect.
     i, kind
         Index of the effect in the configuration, and its class.
-    name
-        The parameter.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
     entries = list(current.experiment.config.effects)
-    entry = entries[i]
     others = [*entries[:i], *entries[i + 1 :]]
     reduced = with_effects(current.experiment, others, current.theta)
     without = linearize_fit(reduced, progress, current, own_rows=True)
     summary = summarize_data(without)
-    joint = current.experiment.equation.joints.index(str(entry.joint))
-    nonlinear_values = _nonlinear_values(entry, kind)
-    values = [ratio * nonlinear_values[name] for ratio in _GRID_RATIOS]
-    probes = [kind.probe(summary, joint, {**nonlinear_values, name: value}) for value in values]
-    gains = [screened.gain for screened in screen_probes(without, probes, progress, "trying parameter values")]
+    joint = current.experiment.equation.joints.index(str(entries[i].joint))
+    nonlinear_values = _nonlinear_values(entries[i], kind)
+    names = [name for name in kind.grid_parameters() if name in entries[i].parameters]  # what was left out stays so
 
-    best = values[int(np.argmax(gains))]
-    min_gain = max(gains) - (1 - _NEAR_BEST_RATIO) * abs(max(gains))
-    near_best = [value for value, gain in zip(values, gains, strict=True) if gain >= min_gain]
-    grid_step = best * (_GRID_RATIOS[1] / _GRID_RATIOS[0] - 1)
-    error = max(max(near_best) - min(near_best), grid_step) / 2
-    entries[i] = _with_value(entry, name, best)
+    errors: dict[ParameterKey, float] = {}
+    for name in _GRID_PASSES * names:
+        values = _grid_values(kind, name, nonlinear_values[name])
+        probes = [kind.probe(summary, joint, {**nonlinear_values, name: value}) for value in values]
+        gains = [screened.gain for screened in screen_probes(without, probes, progress, "trying parameter values")]
+        place = int(np.argmax(gains))
+        nonlinear_values[name] = values[place]
+
+        min_gain = max(gains) - (1 - _NEAR_BEST_RATIO) * abs(max(gains))
+        near_best = [value for value, gain in zip(values, gains, strict=True) if gain >= min_gain]
+        grid_step = abs(values[place] - values[place - 1 if place else 1])
+        errors[i, name] = max(max(near_best) - min(near_best), grid_step) / 2
+
+    for name in names:
+        entries[i] = _with_value(entries[i], name, nonlinear_values[name])
     changed = with_effects(current.experiment, entries, current.theta)
-    return linearize_fit(changed, progress, current, own_rows=kind.is_undefined_where_it_acts), error
+    return linearize_fit(changed, progress, current, own_rows=kind.is_undefined_where_it_acts), errors
+
+
+def _grid_values(kind: type[JointEffect], name: str, value: float) -> list[float]:
+    """Values of a parameter about one, ascending."""
+    (parameter,) = (parameter for parameter in kind.nonlinear_parameters if parameter.name == name)
+    if parameter.optional_maximum is None:
+        return [ratio * value for ratio in _GRID_RATIOS]
+    shares = value / parameter.optional_maximum + np.array(_GRID_SHARE_STEPS)
+    return sorted({parameter.optional_maximum * float(share) for share in np.clip(shares, 0.0, 1.0)})
 
 
 def _nonlinear_values(entry: EffectEntry, kind: type[JointEffect]) -> dict[str, float]:

@@ -73,7 +73,7 @@ class Backlash(FixedJointEffect):
     @classmethod
     @override
     def grid_parameters(cls) -> tuple[str, ...]:
-        return ("width",)
+        return ("width", "motor_friction")
 
     @classmethod
     @override
