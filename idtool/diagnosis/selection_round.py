@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from idtool.common.exceptions import ConfigError
-from idtool.diagnosis.held_out_error import held_out_mean_squares
+from idtool.diagnosis.held_out_error import held_out_mean_squares, lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.model_selection import (
     MIN_SHARE,
@@ -453,6 +453,9 @@ def _implausibility(candidate: FittedCandidate, summary: DataSummary) -> str:
 
 def _worsens_held_out_error(candidate: FittedCandidate, base: LinearizedFit) -> bool:
     """True if an effect increases the error on held-out data of the joints it acts on; False without such data."""
+    if effect_types()[candidate.probe.effect].is_undefined_where_it_acts:
+        # the impacts of the teeth shake the other joints too
+        return lowers_held_out_likelihood(base, candidate.trial.linearized)
     equation = candidate.trial.linearized.experiment.equation
     joint = candidate.probe.joint
     is_acted_on = [joint is None or name == joint for name in equation.joints]

@@ -124,6 +124,16 @@ class LinearizedModel:
             self._friction_torques[joint] = total
         return self._friction_torques[joint]
 
+    def dry_friction(self, joint: int) -> tuple[Array, Array]:
+        """Torque of a joint's dry friction, and its level, which it has in motion; shape (N,) each."""
+        torque = np.zeros(len(self.true_motion.t))
+        level = np.zeros(len(self.true_motion.t))
+        for effect, theta in self._frictions_of(joint):
+            if isinstance(effect, DryFriction):
+                torque += theta @ _columns(effect, self.true_motion)[joint]
+                level += theta[0] * effect.level(self.true_motion)
+        return torque, np.maximum(level, 0.0)
+
     def friction_level(self, joint: int) -> Array:
         """Largest friction torque of a joint at each sample, whatever its direction, shape (N,)."""
         level = np.zeros(len(self.true_motion.t))

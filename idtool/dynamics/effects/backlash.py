@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -29,11 +29,12 @@ _TRIAL_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MIN_COEFFICIENT = 0.25  # share of the change that the width makes
 _MAX_COEFFICIENT = 3.0
 _WIDTH_BLUR = (0.85, 0.93, 1.0, 1.08, 1.17)  # factors of the width that are averaged
-_BLIP_SHARE = 0.6  # of a blip whose time is known to milliseconds: leaves the least residual on average
+_BLIP_SHARE = 0.85  # of a blip whose time is known to milliseconds: leaves the least residual on average
 _APART_SPEED = 4e-3  # of the width per sample: slower, and the teeth have met
 _IMPACT_DECAY = 0.02  # s
 _TEETH_LAG = 2e-3  # s
 _MIN_INERTIA = 1e-9  # kg·m² or kg
+_MIN_SQUARED_VELOCITY = 1e-9  # rad²/s² or m²/s², summed over a log: the joint rests
 
 
 class Backlash(FixedJointEffect):
@@ -45,7 +46,8 @@ class Backlash(FixedJointEffect):
     In the torque equation the link's motion is the measured one less the position of the motor within the play. While
     the teeth are apart, the motor moves as measured and the link falls freely, so that the play closes with transmitted
     torque / the link's inertia, both as the model without the play has them; where teeth meet they stay. Of friction,
-    ``motor_friction``, a share that may be left out, acts on the motor side, and is not transmitted.
+    ``motor_friction``, a share that may be left out, acts on the motor side, and is not transmitted; the rest slows the
+    falling link down.
     """
 
     id = "backlash"
@@ -167,14 +169,9 @@ def _motor_in_play(
     Teeth give when they meet: two lags of 2 ms, as good as the spring of `add_to_forward_model`. When they meet is
     known no better than to some milliseconds, and a blip that comes too early or too late explains less than none.
     """
-    transmitted, inertia = linearized.link_load(motion, joint)
-    if nonlinear_values["motor_friction"]:
-        transmitted = transmitted - nonlinear_values["motor_friction"] * linearized.friction_torque(joint)
-    acceleration = transmitted / np.maximum(inertia, _MIN_INERTIA)
-
+    link = _free_link(motion, joint, nonlinear_values["motor_friction"], linearized)
     width = nonlinear_values["width"]
-    widths = [factor * width for factor in _WIDTH_BLUR]
-    positions = _simulate_play(acceleration, widths, motion.dt)
+    positions = [_simulate_play(link, factor * width / 2, motion.dt) for factor in _WIDTH_BLUR]
     position = np.mean(positions, axis=0)
     pole = np.exp(-motion.dt / _TEETH_LAG)
     for _ in range(2):
@@ -182,51 +179,123 @@ def _motor_in_play(
     return np.asarray(position)
 
 
-def _simulate_play(acceleration: Array, widths: Sequence[float], dt: float) -> list[Array]:
-    """Position of the motor within plays, each in [−width/2, width/2], under an acceleration; shape (N,) each."""
-    driven_up = np.flatnonzero(acceleration[:-1] > 0).tolist()
-    driven_down = np.flatnonzero(acceleration[:-1] < 0).tolist()
-    accelerations = acceleration.tolist()
-    return [_simulate_one_play(accelerations, driven_up, driven_down, width / 2, dt) for width in widths]
+@dataclass(frozen=True)
+class _FreeLink:
+    """How a joint's motor and link move apart while no teeth hold them together; sequences of N samples.
+
+    Attributes
+    ----------
+    driven_up, driven_down
+        Samples where the transmitted torque is above and below 0, ascending.
+    acceleration
+        Of the motor relative to the link, if the link moved as the motor does and had no dry friction
+        [rad/s² or m/s²].
+    damping
+        Viscous friction of the link over its inertia [1/s].
+    dry_deceleration
+        Dry friction of the link over its inertia [rad/s² or m/s²].
+    motor_velocity
+        As measured [rad/s or m/s].
+    """
+
+    driven_up: Sequence[int]
+    driven_down: Sequence[int]
+    acceleration: Sequence[float]
+    damping: Sequence[float]
+    dry_deceleration: Sequence[float]
+    motor_velocity: Sequence[float]
 
 
-def _simulate_one_play(
-    accelerations: Sequence[float], driven_up: Sequence[int], driven_down: Sequence[int], half: float, dt: float
-) -> Array:
-    """`_simulate_play` of one play.
+def _free_link(motion: Motion, joint: int, motor_friction: float, linearized: Linearization) -> _FreeLink:
+    """How a joint's motor and link move apart by the model without the play.
 
     Parameters
     ----------
-    accelerations
-        Acceleration of the motor relative to the link.
-    driven_up, driven_down
-        Samples where it is above and below 0, ascending.
+    motion
+        The measured motion.
+    joint
+        Index of the joint.
+    motor_friction
+        Share of the friction that acts on the motor side.
+    linearized
+        The model without the play.
+    """
+    velocity = motion.v[joint]
+    friction = linearized.friction_torque(joint)
+    dry_friction, dry_friction_level = linearized.dry_friction(joint)
+    viscosity = (friction - dry_friction) @ velocity / max(velocity @ velocity, _MIN_SQUARED_VELOCITY)
+    link_viscosity = (1 - motor_friction) * max(float(viscosity), 0.0)
+
+    load, inertia = linearized.link_load(motion, joint)
+    inertia = np.maximum(inertia, _MIN_INERTIA)
+    transmitted = load - motor_friction * friction
+    without_dry_friction = transmitted - (1 - motor_friction) * dry_friction
+    return _FreeLink(
+        driven_up=np.flatnonzero(transmitted[:-1] > 0).tolist(),
+        driven_down=np.flatnonzero(transmitted[:-1] < 0).tolist(),
+        acceleration=(without_dry_friction / inertia).tolist(),
+        damping=(link_viscosity / inertia).tolist(),
+        dry_deceleration=((1 - motor_friction) * dry_friction_level / inertia).tolist(),
+        motor_velocity=velocity.tolist(),
+    )
+
+
+def _simulate_play(link: _FreeLink, half: float, dt: float) -> Array:
+    """Position of the motor within a play, in [−half, half], shape (N,).
+
+    Parameters
+    ----------
+    link
+        How motor and link move apart.
     half
         Half the width.
     dt
         Time between samples [s].
     """
-    count = len(accelerations)
+    count = len(link.motor_velocity)
     out = np.empty(count)
-    side = 1 if accelerations[0] > 0 else -1
+    side = -1 if link.driven_down[:1] == [0] else 1
     k = 0
     while k < count:
         # The teeth stay in contact until they are driven apart.
-        leaving = driven_down if side > 0 else driven_up
+        leaving = link.driven_down if side > 0 else link.driven_up
         following = bisect_left(leaving, k)
         parting = leaving[following] if following < len(leaving) else count
         out[k:parting] = side * half
 
-        x = side * half
-        v = 0.0
-        apart = []
-        for k in range(parting, count):
-            v += accelerations[k] * dt
-            x += v * dt
-            if not -half < x < half:
-                side = 1 if x > 0 else -1
-                break
-            apart.append(x)
-        k = parting + len(apart)
-        out[parting:k] = apart
+        positions = _positions_apart(link, parting, side * half, dt)
+        k = parting + len(positions)
+        out[parting:k] = positions
+        side = 1 if out[k - 1] > 0 else -1
     return out
+
+
+def _positions_apart(link: _FreeLink, parting: int, x: float, dt: float) -> list[float]:
+    """Positions of the motor within the play from the sample where teeth part to where they meet, or to the last.
+
+    Parameters
+    ----------
+    link
+        How motor and link move apart.
+    parting
+        Sample at which the teeth part.
+    x
+        Position at which they part, at an end of the play.
+    dt
+        Time between samples [s].
+    """
+    half = abs(x)
+    u = 0.0  # velocity of the motor relative to the link
+    positions: list[float] = []
+    for k in range(parting, len(link.motor_velocity)):
+        u = (u + link.acceleration[k] * dt) / (1 + link.damping[k] * dt)
+        # Dry friction slows the link down, at most to rest.
+        link_velocity = link.motor_velocity[k] - u
+        most = link.dry_deceleration[k] * dt
+        u += min(max(link_velocity, -most), most)
+        x += u * dt
+        if not -half < x < half:
+            positions.append(half if x > 0 else -half)
+            break
+        positions.append(x)
+    return positions

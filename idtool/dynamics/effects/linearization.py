@@ -39,3 +39,6 @@ class Linearization(Protocol):
 
     def friction_torque(self, joint: int) -> Array:
         """Friction torque of a joint, shape (N,) [N·m or N]."""
+
+    def dry_friction(self, joint: int) -> tuple[Array, Array]:
+        """Torque of a joint's dry friction, and its level, which it has in motion; shape (N,) each [N·m or N]."""
