@@ -100,6 +100,21 @@ def test_play_with_friction_on_the_motor_side_is_found_in_both_parameters(folder
     assert report["after"]["validation"]["overall"] < 0.7 * report["before"]["validation"]["overall"]
 
 
+def test_a_wide_play_of_a_light_link_is_found_although_friction_slows_the_link_down(folder: Path) -> None:
+    """A link that falls without friction would cross the play sooner, so that a play twice as wide would fit best."""
+    case = Case("wide", "leg3", (HiddenEffect("backlash", "knee", None, "strong"),), 900, "refit", 20.0)
+    files = write_case(case, folder / "wide")
+    true = truth(files)
+    report = diagnosed(files, folder / "wide")
+    step = report["steps"][0]
+    assert (step["effect"], step["joint"]) == ("backlash", "knee")
+    assert step["parameters"]["width"] == pytest.approx(true["width"], rel=0.15)
+    assert true["motor_friction"] == 0
+    assert step["parameters"].get("motor_friction", 0) < 0.2
+    before, after = (report[key]["validation"]["overall"] for key in ("before", "after"))
+    assert after < 0.8 * before
+
+
 def test_what_is_written_is_the_model_that_was_found(stribeck: CaseFiles, folder: Path) -> None:
     out = folder / "again"
     report = diagnosed(stribeck, out, "--no-simulation")

@@ -218,3 +218,24 @@ def test_an_identified_rotor_inertia_counts_only_near_its_prior(
     _, changed = LinearizedModel(equation, theta, motion).link_load(motion, 0)
     gained = 0.0 if is_rotors else (factor - 1) * SPIN * RATIO**2
     np.testing.assert_allclose(changed, inertia + gained, rtol=1e-6)
+
+
+def test_dry_friction_is_the_part_of_the_friction_that_does_not_grow_with_velocity(robot_of: ReadRobot) -> None:
+    names = Case(robot_of, 0).names
+    viscous = {"effect": "viscous_friction", "joint": names[0], "parameters": {"viscous": 0.4}}
+    coulomb = {"effect": "coulomb_friction", "joint": names[0], "parameters": {"coulomb": 0.7}}
+    stribeck = {
+        "effect": "stribeck_friction",
+        "joint": names[0],
+        "parameters": {"stribeck": 0.3, "velocity": 0.5},
+    }
+    case = Case(robot_of, 0, effects=[viscous, coulomb, stribeck])
+    # Friction is averaged over a sample: the velocity changes slowly, and once its sign.
+    v = np.linspace(-0.6, 0.6, 400)
+    linearized = case.along(sampled(*np.tile([v, v, v], (len(names), 1, 1)).swapaxes(0, 1)))
+    torque, level = linearized.dry_friction(0)
+    expected = 0.7 + 0.3 * np.exp(-np.square(v / 0.5))
+    np.testing.assert_allclose(level, expected, rtol=1e-3)
+    np.testing.assert_allclose(torque, expected * np.sign(v), rtol=1e-3)
+    np.testing.assert_allclose(linearized.friction_torque(0) - torque, 0.4 * v, rtol=1e-9, atol=1e-12)
+    np.testing.assert_array_equal(linearized.dry_friction(1), 0)
