@@ -4,6 +4,8 @@ A message reads ``<file or key>: <what is wrong and what to do>`` and fits one l
 behind ``error:`` and exits with code 2.
 """
 
+from __future__ import annotations
+
 
 class IdtoolError(Exception):
     """Base of every error that idtool raises on purpose.
@@ -20,6 +22,9 @@ class IdtoolError(Exception):
         self.where = _one_line(str(where))
         self.what = _one_line(" ".join(what.split()))
         super().__init__(f"{self.where}: {self.what}")
+
+    def __reduce__(self) -> tuple[type[IdtoolError], tuple[str, str]]:
+        return type(self), (self.where, self.what)  # so that processes can send errors to each other
 
 
 def _one_line(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -18,6 +19,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Progress = Callable[[str, float], None]
 
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h: signal that a process gets when its parent ends
+
 
 def process_count() -> int:
     """Number of processes that can work at once.
@@ -27,6 +30,12 @@ def process_count() -> int:
     if not sys.platform.startswith("linux") or multiprocessing.current_process().daemon:
         return 1
     return len(os.sched_getaffinity(0))
+
+
+def interleaved_shares(count: int) -> list[range]:
+    """Indices below a count in shares, one for each process: every n-th, since neighbours take about as long."""
+    shares = min(process_count(), count)
+    return [range(first, count, shares) for first in range(shares)]
 
 
 def in_processes(
@@ -72,9 +81,10 @@ class Background(Generic[Result]):
             return
         self._receiver, sender = multiprocessing.Pipe(duplex=False)
         context = multiprocessing.get_context("fork")
-        self._process = context.Process(target=_evaluate_and_send, args=(evaluate, sender), daemon=True)
+        self._process = context.Process(target=_evaluate_and_send, args=(evaluate, sender, os.getpid()), daemon=True)
         with warnings.catch_warnings():
-            # The other threads are a progress bar's and a linear algebra library's; a copy uses the locks of neither.
+            # The other threads are a progress bar's, whose locks a copy does not use, and those of a linear algebra
+            # library, which prepares itself for the fork.
             warnings.simplefilter("ignore", DeprecationWarning)
             self._process.start()
         sender.close()
@@ -105,12 +115,20 @@ class Background(Generic[Result]):
             self._process.join()
 
 
-def _evaluate_and_send(evaluate: Callable[[Progress], Result], sender: Connection) -> None:
+def _evaluate_and_send(evaluate: Callable[[Progress], Result], sender: Connection, first_process: int) -> None:
     """Send the result, or nothing if the evaluation fails."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes, and the first one ends the others
+    _end_with_parent(first_process)
     try:
         sender.send(evaluate(_no_progress))
     except BaseException:  # the first process finds the same
+        os._exit(1)
+
+
+def _end_with_parent(parent: int) -> None:
+    """Let the kernel end this process when its parent is gone, even if that was killed."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:  # it was gone before
         os._exit(1)
 
 

@@ -39,7 +39,8 @@ class ColumnCache:
         return arrays
 
     def keep(self, key: Hashable, arrays: tuple[Array, ...]) -> None:
-        """Keep arrays under a new key."""
+        """Keep arrays under a key, in place of those it may have."""
+        self._bytes -= _size(self._columns.pop(key, ()))
         self._columns[key] = arrays
         self._bytes += _size(arrays)
         while self._bytes > self._max_bytes and self._columns:
@@ -76,7 +77,7 @@ class KeptColumns:
         return self.cache.find((self.batch, key))
 
     def keep(self, key: Hashable, arrays: tuple[Array, ...]) -> None:
-        """Keep arrays under a new key."""
+        """Keep arrays under a key, in place of those it may have."""
         self.cache.keep((self.batch, key), arrays)
 
     def get(self, key: Hashable, evaluate: Callable[[], Iterable[Array]]) -> tuple[Array, ...]:

@@ -50,7 +50,7 @@ def order_effects(search: EffectSearch, initial_error: float) -> None:
             harmful = _most_harmful(search, excused)
             if harmful is None:
                 return
-        if _is_harmless_away_from_reversals(search, harmful):
+        if _is_harmless_where_friction_is_known(search, harmful):
             excused.append(harmful)
             continue
         search.remove(harmful, reason)
@@ -90,8 +90,8 @@ def _most_harmful(search: EffectSearch, excused: Collection[AddedEffect]) -> Add
     return most_harmful
 
 
-def _is_harmless_away_from_reversals(search: EffectSearch, effect: AddedEffect) -> bool:
-    """True if the held-out data away from reversals are no less likely with an effect than without it."""
+def _is_harmless_where_friction_is_known(search: EffectSearch, effect: AddedEffect) -> bool:
+    """True if the held-out data are no less likely with an effect, but for samples near rest and reversals."""
     if not search.current.experiment.has_held_out:
         return False
     without = _fit_with(search, _entries_without(search, effect))

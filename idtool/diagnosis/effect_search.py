@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from idtool.common.exceptions import ConfigError
-from idtool.common.processes import in_processes, process_count
+from idtool.common.processes import in_processes, interleaved_shares
 from idtool.diagnosis.bursts import find_bursts
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
@@ -151,9 +151,11 @@ class EffectSearch:
             If the model cannot have it.
         """
         selection = fit_assumed_effect(self.current, self.progress, effect, target, self._bursts())
-        is_added = selection.winner is not None and not self._try_add(selection, selection.winner, is_assumed=True)
-        if not is_added:
-            what = f"{effect}:{target or 'any joint'} cannot be added"
+        reason = "cannot be fitted to these data"
+        if selection.winner is not None:
+            reason = self._try_add(selection, selection.winner, is_assumed=True)
+        if reason:
+            what = f"{effect}:{target or 'any joint'} {reason}"
             raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
         self._keep_as_complete()
 
@@ -180,7 +182,7 @@ class EffectSearch:
     def _stop(self, reason: str) -> None:
         """Return to the last model that was complete."""
         self.stopped = reason
-        state, removed = self._complete
+        state, removed = self._last_complete
         self.model.restore(state)
         self.removed = list(removed)
         try:
@@ -190,7 +192,7 @@ class EffectSearch:
 
     def _keep_as_complete(self) -> None:
         """Keep the present model as the one to return to if the search is stopped."""
-        self._complete = self.model.state(), tuple(self.removed)
+        self._last_complete = self.model.state(), tuple(self.removed)
 
     def _run(self) -> None:
         """Add effects until none is worthwhile, replace and remove those that turn out wrong, and fit the rest.
@@ -221,9 +223,8 @@ class EffectSearch:
     def remove(self, effect: AddedEffect, reason: str) -> None:
         """Remove an effect for a reason, a clause of a sentence."""
         before = self.model.state()
-        self.model.drop([effect])
         try:
-            self.model.try_refit()
+            self.model.remove([effect])
         except KeyboardInterrupt:
             self.model.restore(before)
             raise
@@ -236,9 +237,8 @@ class EffectSearch:
 
     def remove_failed(self, effect: AddedEffect, failure: Exception) -> None:
         """Remove an effect with which the whole model cannot be fitted."""
-        self.model.drop([effect])
         self.failed[effect.chosen.effect, effect.chosen.target] = not_fitted_reason(failure)
-        self.model.try_refit()
+        self.model.remove([effect])
 
     def _add_effects(self) -> None:
         """Add effects of all kinds."""
@@ -258,6 +258,7 @@ class EffectSearch:
         min_share
             Share of a joint's squared residual that an effect must explain.
         """
+        self._refused.clear()  # on other rows, or beside other effects, they may be better
         earlier: set[tuple[tuple[str, str], ...]] = set()
         while len(self.reported) < self._max_effects:
             skipped = self._refused | self._superseded
@@ -359,15 +360,16 @@ class EffectSearch:
     def _replace_first(self, choices: Sequence[tuple[AddedEffect, ...]]) -> bool:
         """Replace the first of several sets of effects for which another one is better; False if there is none."""
         choices = [replaced for replaced in choices if not self._is_found_again(replaced)]
-        count = process_count()
-        shares = [range(first, len(choices), count) for first in range(min(count, len(choices)))]
+        shares = interleaved_shares(len(choices))
 
         def first_replaceable(share: range, progress: Progress) -> int | None:
-            self._report_progress = progress
+            self._report_progress = progress  # a copy of this process has its own
             return next((i for i in share if self._is_replaceable(choices[i])), None)
 
-        found = [i for i in in_processes(first_replaceable, shares, self._report_progress) if i is not None]
-        return self._replace(choices[min(found)]) if found else False
+        replaceable = [i for i in in_processes(first_replaceable, shares, self._report_progress) if i is not None]
+        if not replaceable:
+            return False
+        return self._replace(choices[min(replaceable)])  # once more, since a copy cannot send its model
 
     def _is_found_again(self, replaced: Sequence[AddedEffect]) -> bool:
         """True if one of some effects was the best beside exactly the others, so that it would be found once more."""
@@ -406,9 +408,7 @@ class EffectSearch:
             return False
         without = self.current
         try:
-            selection = find_best_effect(
-                without, self.initial, self.progress, self._effects, self._bursts(), MIN_SHARE, self._refused
-            )
+            selection = find_best_effect(without, self.initial, self.progress, self._effects, self._bursts(), MIN_SHARE)
         except FAILURES:
             return False
         winner = selection.winner
@@ -418,9 +418,9 @@ class EffectSearch:
             return False
         if self._try_add(selection, winner):
             return False
-        return self._explains_more(before, without, is_simpler=len(replaced) > 1)
+        return self._is_better(before, without, is_simpler=len(replaced) > 1)
 
-    def _explains_more(self, before: LinearizedFit, without: LinearizedFit, is_simpler: bool) -> bool:
+    def _is_better(self, before: LinearizedFit, without: LinearizedFit, is_simpler: bool) -> bool:
         """True if the present model explains significantly more than another one; if simpler, not significantly less.
 
         Parameters
@@ -452,31 +452,23 @@ class EffectSearch:
             if unproven is None:
                 return
             effect = self.reported[unproven.index]
-            before = self.model.state()
-            self.model.drop([effect])
-            if self.model.try_refit():
-                self.model.restore(before)
+            if self.model.try_drop([effect]):
                 return
             self.removed.append(unproven_sentence(effect.chosen, unproven.reason))
             self._keep_as_complete()
 
     def _prune(self) -> None:
         """Remove effects that are no longer worthwhile, except the newest."""
-        i = 0
-        while i < len(self.added) - 1:
-            others = [effect.entry for k, effect in enumerate(self.added) if k != i]
-            if self._is_needed(self.added[i], [*self.model.given, *others]):
-                i += 1
+        newest = self.added[-1]
+        for effect in self.added[:-1]:
+            others = [other.entry for other in self.added if other is not effect]
+            is_needed = self._is_needed(effect, [*self.model.given, *others])
+            if is_needed or self.model.try_drop([effect]):
                 continue
-            removed = self.added.pop(i)
-            if self.model.try_refit():  # the rest cannot be fitted without it
-                self.added.insert(i, removed)
-                i += 1
-                continue
-            if removed.selection.winner is not None:
-                self._superseded.add(probe_key(removed.selection.winner.probe))
-            if is_reportable(removed.chosen.effect):
-                self.removed.append(removal_sentence(removed.chosen, self.added[-1].chosen))
+            if effect.selection.winner is not None:
+                self._superseded.add(probe_key(effect.selection.winner.probe))
+            if is_reportable(effect.chosen.effect):
+                self.removed.append(removal_sentence(effect.chosen, newest.chosen))
 
     def _is_needed(self, effect: AddedEffect, others: Sequence[EffectEntry]) -> bool:
         """True if an effect is still worthwhile beside the others.

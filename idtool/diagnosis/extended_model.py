@@ -8,6 +8,7 @@ reported, as long as it is shorter than one sample. A model without it would exp
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,7 +23,7 @@ from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 
 _REFITS = 2  # where columns depend on the values of the coefficients
-_MAX_ITERATIONS = 6  # of the fit of all nonlinear parameters after an effect was added
+_MAX_GAUSS_NEWTON_STEPS = 6  # of the fit of all nonlinear parameters after an effect was added
 
 
 @dataclass(eq=False)
@@ -105,6 +106,24 @@ class ExtendedModel:
     def drop(self, effects: Sequence[AddedEffect]) -> None:
         """Leave out added effects; the fit remains as it is until `try_refit`."""
         self.added = [effect for effect in self.added if effect not in effects]
+
+    def try_drop(self, effects: Sequence[AddedEffect]) -> Exception | None:
+        """Leave out added effects and refit; if that fails, restore everything and return the failure."""
+        before = self.state()
+        self.drop(effects)
+        failure = self.try_refit()
+        if failure:
+            self.restore(before)
+        return failure
+
+    def remove(self, effects: Sequence[AddedEffect]) -> None:
+        """Leave out added effects and refit; where that fails, the others keep their nonlinear parameters."""
+        self.drop(effects)
+        if self.try_refit():
+            entries = [*self.given, *(effect.entry for effect in self.added)]
+            experiment = with_effects(self.current.experiment, entries, self.current.theta)
+            with suppress(*FAILURES):
+                self.current = linearize_fit(experiment, self._progress, reversal_margin=self.current.reversal_margin)
 
     def entries(self, count: int) -> list[EffectEntry]:
         """The configuration's effects and the first ``count`` reported ones, with errors of nonlinear parameters."""
@@ -200,7 +219,7 @@ class ExtendedModel:
                 moving.append(i)
         errors: Mapping[ParameterKey, float] = {}
         if background or entries:
-            trial = fit_trial(self.current, all_entries, moving, self._progress, _MAX_ITERATIONS)
+            trial = fit_trial(self.current, all_entries, moving, self._progress, _MAX_GAUSS_NEWTON_STEPS)
             self.current = trial.linearized
             errors = trial.errors
         self._background = self.current.experiment.config.effects[first:first_added]

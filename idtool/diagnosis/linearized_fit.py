@@ -117,6 +117,12 @@ class LinearizedFit:
         """Number of joints, nv."""
         return len(self.noise)
 
+    @property
+    def mean_squared_residual(self) -> Array:
+        """Mean squared residual of each joint's rows, shape (nv,) [(N·m)² or N²]."""
+        rows = np.maximum(self.row_counts.sum(axis=0), 1.0)
+        return np.asarray(self.sse.sum(axis=0) * np.square(self.noise) / rows)
+
     @cached_property
     def information(self) -> Array:
         """Information on y from data, prior and constraints, shape (r, r)."""

@@ -40,14 +40,14 @@ def noise_gain_of(experiment: Experiment, noise: Array) -> Array:
     equation = experiment.equation
     if not any(effect.uses_measured_torque for effect in equation.effects):
         return np.ones(len(noise))
-    theta = np.array([equation.operating_point.get(c.key, c.prior) for c in equation.coefficients])
+    theta = equation.operating_theta
 
     def residual_change(motion: Motion, white: Array) -> Array:
-        noisy = replace(motion, tau=motion.tau + white)
+        noisy = replace(motion, tau=motion.tau + white, kept_columns=None)  # needed only once
         clean_residual = LinearizedModel(equation, theta, motion).residual
         return LinearizedModel(equation, theta, noisy).residual - clean_residual
 
-    return _ratio_of_noises(experiment, equation, noise, residual_change)
+    return _noise_gain(experiment, equation, noise, residual_change)
 
 
 def noise_gain_with_probe(experiment: Experiment, theta: Array, noise: Array, probe: Probe, c: Array) -> Array:
@@ -74,27 +74,25 @@ def noise_gain_with_probe(experiment: Experiment, theta: Array, noise: Array, pr
             change[joint] -= c @ (columns - clean_columns[joint])
         return change
 
-    return _ratio_of_noises(experiment, equation, noise, residual_change)
+    return _noise_gain(experiment, equation, noise, residual_change)
 
 
-def _ratio_of_noises(
-    experiment: Experiment, equation: LinearModel, noise: Array, residual_change: _ResidualChange
-) -> Array:
+def _noise_gain(experiment: Experiment, equation: LinearModel, noise: Array, residual_change: _ResidualChange) -> Array:
     """Rms of the residual's change over that of the noise added, at most 1, shape (nv,)."""
     rng = np.random.default_rng(_SEED)
-    added = np.zeros(len(noise))
-    remaining = np.zeros(len(noise))
+    noise_squares = np.zeros(len(noise))
+    remaining_squares = np.zeros(len(noise))
     for batch in _repeated_training_batches(experiment):
-        white = rng.standard_normal(batch.motion.tau.shape)
-        white *= (noise / batch.filter(white).std(axis=1))[:, None]
+        passed_share = np.linalg.norm(batch.low_pass.kernel)  # of the rms of white noise
+        white = rng.standard_normal(batch.motion.tau.shape) * (noise / passed_share)[:, None]
         filtered_noise = batch.filter(white)
-        change = batch.filter(residual_change(batch.motion, white))
+        filtered_change = batch.filter(residual_change(batch.motion, white))
         for j, mask in enumerate(equation.clean_samples(batch)):
-            added[j] += np.square(filtered_noise[j, mask]).sum()
-            remaining[j] += np.square(change[j, mask]).sum()
+            noise_squares[j] += np.square(filtered_noise[j, mask]).sum()
+            remaining_squares[j] += np.square(filtered_change[j, mask]).sum()
     gain = np.ones(len(noise))
-    known = added > 0
-    gain[known] = np.minimum(np.sqrt(remaining[known] / added[known]), 1.0)
+    known = noise_squares > 0
+    gain[known] = np.minimum(np.sqrt(remaining_squares[known] / noise_squares[known]), 1.0)
     return gain
 
 

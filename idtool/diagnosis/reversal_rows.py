@@ -40,18 +40,13 @@ def joints_clearer_away_from_reversals(current: LinearizedFit, progress: Progres
     if (information_away < _MIN_INFORMATION_LEFT * information).any():
         return {}
     is_clearer = information_away > _MIN_INFORMATION_GAIN * information
-    rms = _rms_residual(current)
-    rms_away = _rms_residual(away)
+    rms = np.sqrt(current.mean_squared_residual)
+    rms_away = np.sqrt(away.mean_squared_residual)
     joints = away.experiment.equation.joints
     return {joints[j]: (float(rms[j]), float(rms_away[j])) for j in np.flatnonzero(is_clearer)}
 
 
 def _information(fit: LinearizedFit) -> Array:
     """Fisher information of the rows on an offset of each joint's torque, shape (nv,) [1/(N·m)² or 1/N²]."""
-    variance = np.maximum(np.square(_rms_residual(fit)), np.finfo(float).tiny)
+    variance = np.maximum(fit.mean_squared_residual, np.finfo(float).tiny)
     return np.asarray(fit.row_counts.sum(axis=0) / variance)
-
-
-def _rms_residual(fit: LinearizedFit) -> Array:
-    """Rms residual of each joint's rows, shape (nv,) [N·m or N]."""
-    return np.asarray(fit.noise * np.sqrt(fit.sse.sum(axis=0) / np.maximum(fit.row_counts.sum(axis=0), 1.0)))

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.common.processes import in_processes, process_count
+from idtool.common.processes import in_processes, interleaved_shares
 from idtool.data.column_cache import KeptColumns
 from idtool.data.signals import Batch
 from idtool.diagnosis.linearized_fit import LinearizedFit
@@ -141,8 +141,8 @@ def screen_probes(
     stage
         Name of this stage.
     """
-    count = process_count() if len(probes) >= _MIN_PROBES_TO_SHARE else 1
-    shares = [range(first, len(probes), count) for first in range(count)]  # neighbours take about as long
+    are_shared = len(probes) >= _MIN_PROBES_TO_SHARE
+    shares = interleaved_shares(len(probes)) if are_shared else [range(len(probes))]
 
     def solutions_of(share: range, progress: Progress) -> list[_Solution]:
         solutions: list[_Solution] = []

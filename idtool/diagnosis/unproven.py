@@ -64,11 +64,11 @@ def find_unproven(
         Callback for the stage and its progress, from 0 to 1.
     """
     floor = estimate_noise_floor(current.experiment, current.estimate.theta, progress, current.reversal_margin)
-    above_floor = np.maximum(_mean_squares(current) - np.square(floor.noise), 0.0)
+    above_floor = np.maximum(current.mean_squared_residual - np.square(floor.noise), 0.0)
     explained = []
     for reduced in without:
         complete = linearize_fit(current.experiment, progress, reduced)
-        explained.append(_mean_squares(reduced) - _mean_squares(complete))
+        explained.append(reduced.mean_squared_residual - complete.mean_squared_residual)
     totals = np.sum(explained, axis=1)
 
     largest = int(np.argmax(totals))
@@ -96,9 +96,3 @@ def _explained_share(explained: Array, above_floor: Array) -> float:
     """
     j = int(np.argmax(explained))
     return float(explained[j] / max(explained[j] + above_floor[j], np.finfo(float).tiny))
-
-
-def _mean_squares(fit: LinearizedFit) -> Array:
-    """Mean squared residual of each joint's rows, shape (nv,) [(N·m)² or N²]."""
-    rows = np.maximum(fit.row_counts.sum(axis=0), 1.0)
-    return np.asarray(fit.sse.sum(axis=0) * np.square(fit.noise) / rows)

@@ -120,7 +120,7 @@ class LinearizedModel:
         if joint not in self._friction_torques:
             total = np.zeros(len(self.true_motion.t))
             for effect, theta in self._frictions_of(joint):
-                total += theta @ _columns(effect, self.true_motion)[joint]
+                total += theta @ effect_columns(effect, self.true_motion)[joint]
             self._friction_torques[joint] = total
         return self._friction_torques[joint]
 
@@ -130,7 +130,7 @@ class LinearizedModel:
         level = np.zeros(len(self.true_motion.t))
         for effect, theta in self._frictions_of(joint):
             if isinstance(effect, DryFriction):
-                torque += theta @ _columns(effect, self.true_motion)[joint]
+                torque += theta @ effect_columns(effect, self.true_motion)[joint]
                 level += theta[0] * effect.level(self.true_motion)
         return torque, np.maximum(level, 0.0)
 
@@ -141,7 +141,7 @@ class LinearizedModel:
             if isinstance(effect, DryFriction):
                 level += np.abs(theta[0] * effect.level(self.true_motion))
             else:
-                level += np.abs(theta @ _columns(effect, self.true_motion)[joint])
+                level += np.abs(theta @ effect_columns(effect, self.true_motion)[joint])
         return level
 
     def _frictions_of(self, joint: int) -> Iterator[tuple[Effect, Array]]:
@@ -230,8 +230,8 @@ class LinearizedModel:
         return self._rigid_body_torque(self._some_samples, self._bodies)
 
 
-def _columns(effect: Effect, motion: Motion) -> list[Array]:
-    """Columns of an effect, per joint."""
-    out = [np.empty((len(active), len(motion.t))) for active in effect.active]
-    effect.columns(motion, out)
-    return out
+def effect_columns(effect: Effect, motion: Motion) -> list[Array]:
+    """Columns of an effect along a true motion of N samples, by joint, shape (coefficients of the joint, N)."""
+    columns = [np.empty((len(active), len(motion.t))) for active in effect.active]
+    effect.columns(motion, columns)
+    return columns

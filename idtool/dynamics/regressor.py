@@ -22,7 +22,7 @@ from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NamedEffect
 from idtool.dynamics.effects.rigid_body import RigidBodies
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
-from idtool.dynamics.linearized_model import LinearizedModel
+from idtool.dynamics.linearized_model import LinearizedModel, effect_columns
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.model import RobotModel
 
@@ -71,8 +71,7 @@ class LinearModel:
             if latest is None or latest.measured_motion is not motion:
                 copies = tuple(copy(other) for other in others)  # those of this model keep their operating point
                 equation = LinearModel(self.joints, copies, self.operating_point)
-                theta = np.array([self.operating_point.get(c.key, c.prior) for c in equation.coefficients])
-                latest = LinearizedModel(equation, theta, motion)
+                latest = LinearizedModel(equation, equation.operating_theta, motion)
             return latest
 
         return along
@@ -96,6 +95,11 @@ class LinearModel:
     def prior(self) -> Array:
         """Values of the unknowns before any data, shape (p,)."""
         return np.array([c.prior for c in self.coefficients])
+
+    @property
+    def operating_theta(self) -> Array:
+        """Values of the unknowns at the operating point, shape (p,)."""
+        return np.array([self.operating_point.get(c.key, c.prior) for c in self.coefficients])
 
     def offsets(self) -> Indices:
         """Index of each effect's first coefficient, and p."""
@@ -375,7 +379,7 @@ def _torque(effect: Effect, theta: Array, motion: Motion) -> Array:
     if isinstance(effect, RigidBodies):
         return effect.torque(theta, motion)
     kept = _kept_columns(effect, motion)
-    evaluate = partial(_columns, effect, motion)
+    evaluate = partial(effect_columns, effect, motion)
     columns = evaluate() if kept is None else kept.get(("unfiltered", effect.column_key), evaluate)
     return np.stack([theta[active] @ own for active, own in zip(effect.active, columns, strict=True)])
 
@@ -385,19 +389,12 @@ def _filtered_columns(effect: Effect, motion: Motion, batch: Batch) -> Sequence[
 
     def evaluate() -> list[Array]:
         filtered = []
-        for columns in _columns(effect, motion):
+        for columns in effect_columns(effect, motion):
             filtered.append(batch.filter(columns) if len(columns) else np.empty((0, len(batch.t))))
         return filtered
 
     kept = _kept_columns(effect, motion)
     return evaluate() if kept is None else kept.get(("filtered", effect.column_key), evaluate)
-
-
-def _columns(effect: Effect, motion: Motion) -> list[Array]:
-    """Columns of an effect along a true motion, per joint."""
-    columns = [np.empty((len(active), len(motion.t))) for active in effect.active]
-    effect.columns(motion, columns)
-    return columns
 
 
 def _kept_columns(effect: Effect, motion: Motion) -> KeptColumns | None:

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from idtool.common import processes
-from idtool.common.processes import Background, in_processes, process_count
+from idtool.common.exceptions import ConfigError
+from idtool.common.processes import Background, in_processes, interleaved_shares, process_count
 
 Progress = Callable[[str, float], None]
 
@@ -111,3 +116,38 @@ def test_a_copy_does_not_copy_itself() -> None:
 
     here, in_copy = in_processes(count, ["first", "second"], silent)
     assert in_copy == 1 or here == 1
+
+
+@pytest.mark.skipif(process_count() == 1, reason="there are no copies on a single processor core")
+def test_a_copy_ends_when_the_first_process_is_killed() -> None:
+    script = """
+import os, time
+from idtool.common.processes import Background
+
+def work(progress):
+    time.sleep(60)
+
+with Background(work) as background:
+    print(background._process.pid, flush=True)
+    os.kill(os.getpid(), 9)
+"""
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
+    assert result.returncode == -signal.SIGKILL
+    copy = Path(f"/proc/{int(result.stdout)}/stat")
+    deadline = time.monotonic() + 10
+    while copy.exists() and copy.read_text().split()[2] != "Z":  # a zombie has ended
+        assert time.monotonic() < deadline, "the copy goes on"
+        time.sleep(0.05)
+
+
+def test_an_error_of_idtool_can_be_sent_between_processes() -> None:
+    error = ConfigError("robot.yaml", "unknown key")
+    received = pickle.loads(pickle.dumps(error))  # noqa: S301  # our own
+    assert type(received) is ConfigError
+    assert str(received) == str(error)
+
+
+@pytest.mark.parametrize(("count", "shares"), [(0, []), (1, [[0]]), (5, [[0, 2, 4], [1, 3]])])
+def test_shares_are_interleaved(monkeypatch: pytest.MonkeyPatch, count: int, shares: list[list[int]]) -> None:
+    monkeypatch.setattr(processes, "process_count", lambda: 2)
+    assert [list(share) for share in interleaved_shares(count)] == shares

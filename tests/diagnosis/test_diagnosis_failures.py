@@ -101,7 +101,7 @@ def test_an_effect_that_fails_once_it_was_chosen_is_skipped(arm: Experiment, mon
     monkeypatch.setattr(extended_model, "fit_trial", fit_trial)
     without_spring(diagnosed(arm), REASON)
     search = EffectSearch(arm, EFFECTS, 3, silent)
-    with pytest.raises(ConfigError, match="parallel_spring:j1 cannot be added"):
+    with pytest.raises(ConfigError, match="parallel_spring:j1 cannot be fitted together"):
         search.assume(*SPRING)
     search.assume(*OFFSET)
     assert [one.chosen.effect for one in search.added] == ["torque_offset"]

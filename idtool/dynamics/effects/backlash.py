@@ -231,8 +231,8 @@ def _free_link(motion: Motion, joint: int, motor_friction: float, linearized: Li
     transmitted = load - motor_friction * friction
     without_dry_friction = transmitted - (1 - motor_friction) * dry_friction
     return _FreeLink(
-        driven_up=np.flatnonzero(transmitted[:-1] > 0).tolist(),
-        driven_down=np.flatnonzero(transmitted[:-1] < 0).tolist(),
+        driven_up=np.flatnonzero(transmitted > 0).tolist(),
+        driven_down=np.flatnonzero(transmitted < 0).tolist(),
         acceleration=(without_dry_friction / inertia).tolist(),
         damping=(link_viscosity / inertia).tolist(),
         dry_deceleration=((1 - motor_friction) * dry_friction_level / inertia).tolist(),
