@@ -7,12 +7,13 @@ from collections.abc import Collection, Sequence
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect
-from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
+from idtool.diagnosis.held_out_error import held_out_log_change
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.trial import with_effects
 from idtool.robot.config import EffectEntry
 
 MAX_ERROR_RATIO = 1.0005  # of the errors with an effect and without it, over all joints
+_MIN_EXCUSE = 0.1  # decrease of the logarithm of a joint's squared error where the direction of friction is known
 
 
 def order_effects(search: EffectSearch, initial_error: float) -> None:
@@ -21,8 +22,9 @@ def order_effects(search: EffectSearch, initial_error: float) -> None:
     One that increases the error is moved to the end, since a right but small effect may do so as long as a larger one
     is missing; if it increases the error there too, it is removed. If no such order is found, the effect without which
     the error is least is removed. Two kinds of effects stay although they increase the error at their place: those that
-    lower it only together with others, and those that increase it only near reversals. There the direction of friction
-    is uncertain, and chance decides whether an effect that shifts the jump of friction increases the error.
+    lower it only together with others, and those that increase it only near reversals and lower it elsewhere. Near
+    reversals the direction of friction is uncertain, and chance decides whether an effect that shifts the jump of
+    friction increases the error.
 
     Without held-out data, the error on the training data decides.
 
@@ -50,7 +52,7 @@ def order_effects(search: EffectSearch, initial_error: float) -> None:
             harmful = _most_harmful(search, excused)
             if harmful is None:
                 return
-        if _is_harmless_where_friction_is_known(search, harmful):
+        if _helps_where_friction_is_known(search, harmful):
             excused.append(harmful)
             continue
         search.remove(harmful, reason)
@@ -90,13 +92,11 @@ def _most_harmful(search: EffectSearch, excused: Collection[AddedEffect]) -> Add
     return most_harmful
 
 
-def _is_harmless_where_friction_is_known(search: EffectSearch, effect: AddedEffect) -> bool:
-    """True if the held-out data are no less likely with an effect, but for samples near rest and reversals."""
-    if not search.current.experiment.has_held_out:
-        return False
+def _helps_where_friction_is_known(search: EffectSearch, effect: AddedEffect) -> bool:
+    """True if an effect lowers the held-out error but for samples at rest and near reversals."""
     without = _fit_with(search, _entries_without(search, effect))
     with_all = _fit_with(search, _all_entries(search))
-    return not lowers_held_out_likelihood(without, with_all)
+    return held_out_log_change(without, with_all) < -_MIN_EXCUSE
 
 
 def _all_entries(search: EffectSearch) -> list[EffectEntry]:

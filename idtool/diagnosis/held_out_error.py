@@ -8,7 +8,7 @@ from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.regressor import LinearModel
 
-_NEGLIGIBLE = 0.01  # change of the logarithm of a joint's squared error
+_CHANCE = 0.01  # change of the logarithm of a joint's squared error
 
 
 def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) -> Array:
@@ -49,8 +49,17 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
 def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> bool:
     """True if the held-out data are less likely under the model with an effect than under that without it.
 
+    An effect that the held-out motion does not excite hardly changes the likelihood, and passes. The arguments are
+    those of `held_out_log_change`.
+    """
+    return held_out_log_change(before, after) > _CHANCE
+
+
+def held_out_log_change(before: LinearizedFit, after: LinearizedFit) -> float:
+    """Change of the logarithm of the held-out data's squared error by an effect, summed over the joints.
+
     Each joint's residual counts relative to its own size, so that a joint that still lacks a large effect does not
-    decide alone. An effect that the held-out motion does not excite hardly changes the likelihood, and passes.
+    decide alone. Without held-out data, it is 0.
 
     Parameters
     ----------
@@ -64,4 +73,4 @@ def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> b
     errors_after = held_out_mean_squares(after, row_equation)
     with np.errstate(invalid="ignore"):
         change = np.log(errors_after / errors_before)
-    return bool(np.nansum(change) > _NEGLIGIBLE)
+    return float(np.nansum(change))

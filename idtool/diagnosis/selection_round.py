@@ -65,7 +65,7 @@ _MAX_LOSS_SHARE = 0.2  # of its gains in some blocks, that an effect may lose in
 MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter is at least from zero
 # of a joint's squared residual without any effect: the effects found are assumed accurate to 1 %, squared 1e-4
 _MIN_SAVED_SHARE = 1e-4
-_NEGLIGIBLE_SHARE = 3e-3  # of a joint's rms torque: a smaller residual counts as zero
+_NEGLIGIBLE_SHARE = 5e-3  # of a joint's rms torque: a smaller effect does not matter
 _RANGE_EDGE_RATIO = 1.02  # ratio to an end of a range, up to which a value is at that end
 _BOUND_TOLERANCE = 1e-9  # distance from a bound, up to which a coefficient is at it
 

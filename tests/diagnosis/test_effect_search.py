@@ -228,14 +228,14 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
     assert search.removed == ["torque_offset on j1 was removed again: it increases the error on the held-out data"]
 
 
-@pytest.mark.parametrize(("less_likely", "left"), [(False, [SPRING]), (True, [])])
-def test_an_effect_that_increases_the_error_only_at_reversals_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, less_likely: bool, left: list[Owner]
+@pytest.mark.parametrize(("log_change", "left"), [(-0.5, [SPRING]), (-0.02, []), (0.5, [])])
+def test_an_effect_that_increases_the_error_only_at_reversals_stays_if_it_helps_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, log_change: float, left: list[Owner]
 ) -> None:
     """By errors that are given here: with the effect, they are larger if all samples count."""
     search = search_with(experiment_of(tmp_path, spring, rows=slice(4000)), [SPRING])
     give_errors(monkeypatch, [1.0, 1.2])
-    monkeypatch.setattr(effect_order, "lowers_held_out_likelihood", lambda before, after: less_likely)
+    monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after: log_change)
     order_effects(search, 1.0)
     assert owners(search) == left
 
@@ -253,6 +253,6 @@ def test_effects_that_help_only_together_stay(
     experiment = experiment_of(tmp_path, spring, rows=slice(4000))
     search = search_with(experiment, [SPRING, OFFSET])
     give_errors(monkeypatch, [1.0, alone, together])
-    monkeypatch.setattr(effect_order, "lowers_held_out_likelihood", lambda before, after: True)
+    monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after: 0.5)
     order_effects(search, 1.0)
     assert sorted(owners(search)) == sorted(left)
