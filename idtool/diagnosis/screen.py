@@ -2,11 +2,12 @@
 
 With the model's rows Q (n, r) by y and the probe's columns C (n, k), each block is left out in turn, and
 
-    [Qᵀ Q + H   Qᵀ C] [y]   [Qᵀ e + f]
+    [Qᵀ Q + H   Qᵀ C] [y]   [Qᵀ e + g]
     [Cᵀ Q       Cᵀ C] [c] = [Cᵀ e    ]
 
-is solved over the others by the Schur complement of the model: C is projected on what is orthogonal to Q and H. H and f
-are the information and the pull of prior and constraints. The sums over rows are P = Qᵀ C, h = Cᵀ e and Cᵀ C.
+is solved over the others by the Schur complement of the model: C is projected on what is orthogonal to Q and H. H and g
+are the information and the pull of prior and constraints; at the optimum, g cancels Qᵀ e of all blocks. The sums over
+rows are P = Qᵀ C, h = Cᵀ e and Cᵀ C.
 
 Letters: F blocks; K coefficients of all probes one after the other, of which a probe has k; i probes of k coefficients.
 """
@@ -35,6 +36,7 @@ _MIN_PROBES_TO_SHARE = 32  # among processes: fewer take about as long as to sta
 _MAX_NUMBERS = 1e7  # in memory at once
 _MAX_COLUMNS = 128  # filtered together
 _ROUNDING = 1e-18  # squared norm of a column, in units of the noise, up to which it is 0
+_MIN_VARIANCE = 1e-200  # of a coefficient; it is 0 for a column that the model has too
 _MIN_NEW_SHARE = 1e-5  # of a column's squared norm, that the model cannot reproduce
 
 
@@ -96,7 +98,7 @@ def sum_standard_error(values: Array) -> float:
 
 
 class _Solution(NamedTuple):
-    """A `ScreenedProbe` without the probe."""
+    """A `ScreenedProbe` without the probe, whose functions cannot be sent between processes."""
 
     c: Array
     covariance: Array
@@ -204,7 +206,7 @@ def _accumulate(linearized: LinearizedFit, probes: Sequence[Probe], progress: Pr
     max_k = max(probe.coefficient_count for probe in probes)
     F, r, K = linearized.block_count, linearized.directions.shape[1], int(starts[-1])
     sums = _ProbeSums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, max_k)))
-    for batch, model, block_index in training_batches(linearized, progress, stage):
+    for batch, model, block_index in _training_batches(linearized, progress, stage):
         Q, e, valid = _model_rows(linearized, batch)
         blocks = _block_slices(block_index)
         for joint, index, filtered in _probe_columns(probes, starts, batch, model):
@@ -248,7 +250,7 @@ def _rows_by_probe(starts: Indices, index: Indices) -> list[Indices]:
     return [first_rows[sizes == k, None] + np.arange(k) for k in np.unique(sizes)]
 
 
-def training_batches(
+def _training_batches(
     linearized: LinearizedFit, progress: Progress, stage: str
 ) -> Iterator[tuple[Batch, LinearizedModel, Indices]]:
     """Batches of the training data, the model along each, and the block of each filtered sample."""
@@ -360,7 +362,7 @@ def _solve_same_size(
     k = index.shape[1]
     lower = np.array([probe.lower or (-np.inf,) * k for probe in probes])
     upper = np.array([probe.upper or (np.inf,) * k for probe in probes])
-    local = [i for i, probe in enumerate(probes) if probe.is_local]
+    local_probes = [i for i, probe in enumerate(probes) if probe.is_local]
     c_without = np.empty((F, *c.shape))  # coefficients without each block
     gains = np.empty((F, len(c)))
     for f in range(F):
@@ -369,20 +371,31 @@ def _solve_same_size(
         c_f, X, _ = _solve(linearized.information - linearized.gram[f], P - P_f, h - h_f, CC - CC_f, y0)
         is_within_bounds = np.logical_and(c_f >= lower, c_f <= upper).all(axis=1, keepdims=True)
         c_f = np.where(is_within_bounds, c_f, 0.0)  # what physics forbids explains nothing
-        c_f[local] = c[local]  # other blocks tell nothing of them
+        c_f[local_probes] = c[local_probes]  # other blocks tell nothing of them
         c_without[f] = c_f
         dy = -np.einsum("rik,ik->ri", X, c_f)
         gains[f] = _block_gain(linearized, f, P_f, h_f, CC_f, c_f, dy)
 
     deviation = c_without - c_without.mean(axis=0)
     covariance = (F - 1) / F * np.einsum("fik,fil->ikl", deviation, deviation)
-    independent_variance = np.einsum("ikk->ik", np.linalg.pinv(schur))
-    variance = np.einsum("ikk->ik", covariance)
-    is_determined = independent_variance > 1e-200  # it is 0 for a column that the model has too
-    inflation = (variance / np.where(is_determined, independent_variance, np.inf)).mean(axis=1)
+    inflation = _inflation(covariance, schur)
     return [
         _Solution(c[i], covariance[i], gains[:, i], schur[i], float(inflation[i]), None) for i in range(len(probes))
     ]
+
+
+def _inflation(covariance: Array, information: Array) -> Array:
+    """Ratio of the coefficients' variances to those of independent rows, mean of each probe, shape (i,).
+
+    Parameters
+    ----------
+    covariance, information
+        Covariance of the coefficients, and information of the data on them, shape (i, k, k).
+    """
+    variance = np.einsum("ikk->ik", covariance)
+    independent_variance = np.einsum("ikk->ik", np.linalg.pinv(information))
+    is_determined = independent_variance > _MIN_VARIANCE
+    return np.asarray((variance / np.where(is_determined, independent_variance, np.inf)).mean(axis=1))
 
 
 def _block_gain(linearized: LinearizedFit, f: int, P: Array, h: Array, CC: Array, c: Array, dy: Array) -> Array:
@@ -429,6 +442,6 @@ def _solve(A: Array, P: Array, h: Array, CC: Array, y0: Array) -> tuple[Array, A
     size = np.sqrt(np.where(squares > _ROUNDING, squares, np.inf))
     values, vectors = np.linalg.eigh(schur / size[:, :, None] / size[:, None, :])
     inverse = np.where(values > _MIN_NEW_SHARE, 1 / np.maximum(values, _MIN_NEW_SHARE), 0.0)
-    rhs = (h - np.einsum("rik,r->ik", P, y0)) / size
-    c = np.einsum("ikl,il,iml,im->ik", vectors, inverse, vectors, rhs, optimize=True) / size
+    scaled_score = (h - np.einsum("rik,r->ik", P, y0)) / size
+    c = np.einsum("ikl,il,iml,im->ik", vectors, inverse, vectors, scaled_score, optimize=True) / size
     return c, X, schur

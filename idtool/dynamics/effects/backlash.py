@@ -21,7 +21,7 @@ from idtool.dynamics.effects.probe import geometric_grid
 from idtool.dynamics.mechanism import Mechanism, Transmission
 from idtool.robot.model import RobotModel
 
-_DAMPING_RATIO = 0.5
+_TEETH_DAMPING_RATIO = 0.5  # of motor and link against each other
 _MIN_WIDTH = 3e-4  # rad or m: what gears have
 _MAX_WIDTH = 0.12  # rad or m: what would be felt by hand
 _TRIALS = 6  # the search tries finer ones around the best
@@ -134,7 +134,7 @@ class Backlash(FixedJointEffect):
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
-        transmission = mechanism.transmissions.get(self.joint, Transmission(np.inf, _DAMPING_RATIO))
+        transmission = mechanism.transmissions.get(self.joint, Transmission(np.inf, _TEETH_DAMPING_RATIO))
         mechanism.transmissions[self.joint] = replace(
             transmission,
             backlash=self.nonlinear_values["width"],
@@ -240,37 +240,38 @@ def _free_link(motion: Motion, joint: int, motor_friction: float, linearized: Li
     )
 
 
-def _simulate_play(link: _FreeLink, half: float, dt: float) -> Array:
-    """Position of the motor within a play, in [−half, half], shape (N,).
+def _simulate_play(link: _FreeLink, half_width: float, dt: float) -> Array:
+    """Position of the motor within a play, in [−half_width, half_width], shape (N,) [rad or m].
 
     Parameters
     ----------
     link
         How motor and link move apart.
-    half
-        Half the width.
+    half_width
+        Half the width of the play [rad or m].
     dt
         Time between samples [s].
     """
     count = len(link.motor_velocity)
-    out = np.empty(count)
-    side = -1 if link.driven_down[:1] == [0] else 1
+    positions = np.empty(count)
+    begins_driven_down = link.driven_down[:1] == [0]
+    side = -1 if begins_driven_down else 1  # of the play, at which the teeth are in contact
     k = 0
     while k < count:
         # The teeth stay in contact until they are driven apart.
         leaving = link.driven_down if side > 0 else link.driven_up
         following = bisect_left(leaving, k)
         parting = leaving[following] if following < len(leaving) else count
-        out[k:parting] = side * half
+        positions[k:parting] = side * half_width
 
-        positions = _positions_apart(link, parting, side * half, dt)
-        k = parting + len(positions)
-        out[parting:k] = positions
-        side = 1 if out[k - 1] > 0 else -1
-    return out
+        positions_apart = _positions_apart(link, parting, side * half_width, dt)
+        k = parting + len(positions_apart)
+        positions[parting:k] = positions_apart
+        side = 1 if positions[k - 1] > 0 else -1
+    return positions
 
 
-def _positions_apart(link: _FreeLink, parting: int, x: float, dt: float) -> list[float]:
+def _positions_apart(link: _FreeLink, parting: int, position: float, dt: float) -> list[float]:
     """Positions of the motor within the play from the sample where teeth part to where they meet, or to the last.
 
     Parameters
@@ -279,23 +280,26 @@ def _positions_apart(link: _FreeLink, parting: int, x: float, dt: float) -> list
         How motor and link move apart.
     parting
         Sample at which the teeth part.
-    x
-        Position at which they part, at an end of the play.
+    position
+        Position at which they part, at an end of the play [rad or m].
     dt
         Time between samples [s].
     """
-    half = abs(x)
-    u = 0.0  # velocity of the motor relative to the link
+    half_width = abs(position)
+    relative_velocity = 0.0  # of the motor against the link
     positions: list[float] = []
     for k in range(parting, len(link.motor_velocity)):
-        u = (u + link.acceleration[k] * dt) / (1 + link.damping[k] * dt)
+        driven_velocity = relative_velocity + link.acceleration[k] * dt
+        damped_velocity = driven_velocity / (1 + link.damping[k] * dt)
         # Dry friction slows the link down, at most to rest.
-        link_velocity = link.motor_velocity[k] - u
-        most = link.dry_deceleration[k] * dt
-        u += min(max(link_velocity, -most), most)
-        x += u * dt
-        if not -half < x < half:
-            positions.append(half if x > 0 else -half)
+        link_velocity = link.motor_velocity[k] - damped_velocity
+        most_slowing = link.dry_deceleration[k] * dt
+        relative_velocity = damped_velocity + min(max(link_velocity, -most_slowing), most_slowing)
+
+        position += relative_velocity * dt
+        have_met = not -half_width < position < half_width
+        if have_met:
+            positions.append(half_width if position > 0 else -half_width)
             break
-        positions.append(x)
+        positions.append(position)
     return positions

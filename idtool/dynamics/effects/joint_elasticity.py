@@ -188,7 +188,9 @@ class JointElasticity(FixedJointEffect):
         reversals of the link, where dry friction jumps: their time is known to half a period of the cutoff frequency.
         """
         count = len(motion.t)
-        edge = min(_low_pass(_possible_cutoffs(motion.dt)[0], motion.dt).edge, count)
+        lowest_cutoff = _possible_cutoffs(motion.dt)[0]
+        longest_edge = _low_pass(lowest_cutoff, motion.dt).edge
+        edge = min(longest_edge, count)
         at_ends = np.zeros(count, dtype=bool)
         at_ends[:edge] = True
         at_ends[count - edge :] = True
@@ -261,14 +263,15 @@ class JointElasticity(FixedJointEffect):
         torque_power, rotor_power, transmitted_power = powers
         noise_power = _noise_power_density(f, torque_power, rotor_power, motion.dt)
 
-        highest, *higher_cutoffs = _possible_cutoffs(motion.dt)
+        highest_clear, *higher_cutoffs = _possible_cutoffs(motion.dt)
         for cutoff in higher_cutoffs:
             octave = _octave_below(cutoff, f)
             if not octave.any():
                 continue
-            if transmitted_power[octave].mean() > _MIN_SIGNAL_TO_NOISE * noise_power[octave].max():
-                highest = cutoff
-        return highest
+            is_clear = transmitted_power[octave].mean() > _MIN_SIGNAL_TO_NOISE * noise_power[octave].max()
+            if is_clear:  # whatever a lower octave is: the motion may have little power there
+                highest_clear = cutoff
+        return highest_clear
 
 
 def _possible_cutoffs(dt: float) -> list[float]:
