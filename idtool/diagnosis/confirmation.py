@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import PartEstimate
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, parameter_value
@@ -25,7 +24,7 @@ _SAME_SIZE = 0.2  # relative difference, up to which sizes agree whatever their 
 
 
 def estimate_on_parts(
-    current: LinearizedFit, entries: Sequence[EffectEntry], inflation: float, progress: Progress
+    current: LinearizedFit, entries: Sequence[EffectEntry], progress: Progress
 ) -> list[list[PartEstimate]]:
     """Size of each effect on each part of the training data.
 
@@ -35,8 +34,6 @@ def estimate_on_parts(
         The model.
     entries
         Entries of the effects that are to be confirmed, as in the model.
-    inflation
-        Number of rows that are worth one independent one.
     progress
         Callback for the stage and its progress, from 0 to 1.
 
@@ -54,7 +51,7 @@ def estimate_on_parts(
         except FAILURES:  # too short by itself
             continue
         for own, index in zip(estimates, indices, strict=True):
-            size = _size(trial, index, inflation)
+            size = _size(trial, index)
             if size is not None:
                 own.append(PartEstimate(name, *size))
     return estimates
@@ -97,49 +94,29 @@ def _parts(experiment: Experiment) -> list[tuple[str, Experiment]]:
     return [(name, replace(experiment, runs=(run,))) for name, run in logs]
 
 
-def _size(trial: TrialFit, index: int, inflation: float) -> tuple[str, float, float] | None:
+def _size(trial: TrialFit, index: int) -> tuple[str, float, float] | None:
     """Size of an effect: name, value and standard error of its first parameter with a known standard error.
 
     Returns
     -------
-    None if no parameter has one.
+    None if no parameter has one, as where the effect does not act in the data.
     """
-    linearized = trial.linearized
     entry = trial.entries[index]
-    for name, (value, error) in linear_parameters(linearized, entry, inflation).items():
-        if error is not None and np.isfinite(error):
+    for name, (value, error) in _linear_parameters(trial.linearized, entry).items():
+        if error is not None and 0 < error < np.inf:
             return name, value, error
     for name in effect_types()[entry.effect].gradient_parameters():
         number = parameter_value(entry, name)
         error = trial.errors.get((index, name))
-        if isinstance(number, float) and error is not None and np.isfinite(error):
+        if isinstance(number, float) and error is not None and 0 < error < np.inf:
             return name, number, error
     return None
 
 
-def linear_parameters(
-    linearized: LinearizedFit, entry: EffectEntry, inflation: float
-) -> dict[str, tuple[float, float | None]]:
-    """Values and standard errors of an effect's linear parameters, by name.
-
-    Parameters
-    ----------
-    linearized
-        The model.
-    entry
-        Configuration entry of the effect.
-    inflation
-        Number of rows that are worth one independent one.
-    """
-    found = linearized.find_effect(entry)
-    if found is None:
+def _linear_parameters(linearized: LinearizedFit, entry: EffectEntry) -> dict[str, tuple[float, float | None]]:
+    """Values and standard errors of an effect's linear parameters, by name."""
+    effect_and_slice = linearized.find_effect(entry)
+    if effect_and_slice is None:
         return {}
-    effect, part = found
-    covariance = _coefficient_covariance(linearized, part, inflation)
-    return effect.parameters(linearized.estimate.theta[part], covariance)
-
-
-def _coefficient_covariance(linearized: LinearizedFit, coefficients: slice, inflation: float) -> Array:
-    """Covariance of m coefficients of a model, which are given by their range, shape (m, m)."""
-    directions = linearized.directions[coefficients]
-    return np.asarray(inflation * directions @ np.linalg.solve(linearized.information, directions.T))
+    effect, part = effect_and_slice
+    return effect.parameters(linearized.estimate.theta[part], linearized.jackknife_covariance(part))

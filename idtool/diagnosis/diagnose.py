@@ -12,7 +12,7 @@ import numpy as np
 
 from idtool.common.notice import Notice, unique
 from idtool.common.processes import Background
-from idtool.diagnosis.confirmation import estimate_on_parts, linear_parameters
+from idtool.diagnosis.confirmation import estimate_on_parts
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.data_faults.torque_scale import check_torques
 from idtool.diagnosis.doubts import doubt_about
@@ -208,8 +208,7 @@ def _confirmed(
     if not steps:
         return []
     entries = [effect.entry for effect in search.reported]
-    inflation = float(np.median([effect.selection.inflation for effect in search.reported]))
-    estimate = partial(estimate_on_parts, search.current, entries, inflation, search.progress)
+    estimate = partial(estimate_on_parts, search.current, entries, search.progress)
     unconfirmed: list[list[PartEstimate]] = [[] for _ in entries]
     parts = stages.run("the confirmation on parts of the data", estimate, unconfirmed)
     floor = dict(zip(search.current.experiment.equation.joints, remaining.floor.rms.tolist(), strict=True))
@@ -247,7 +246,7 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool, stages: 
             theta = current.estimate.theta
             errors_with_simulation = partial(evaluate_errors, current.experiment, theta, True, search.progress)
             after = stages.run("the simulation", errors_with_simulation, after)
-        steps.append(_step(effect, search, previous, current, before, after, stages))
+        steps.append(_step(effect, search, last, previous, current, before, after, stages))
         previous = current
         before = after
     return steps
@@ -256,20 +255,21 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool, stages: 
 def _step(
     effect: AddedEffect,
     search: EffectSearch,
+    last: Fit,
     previous: LinearizedFit | Fit,
     current: LinearizedFit | Fit,
     errors_before: ErrorSummary,
     errors_after: ErrorSummary,
     stages: Stages,
 ) -> DiagnosisStep:
-    """Step that adds an effect; ``previous`` and ``current`` are the fits without and with it."""
+    """Step that adds an effect; ``previous`` and ``current`` are the fits without and with it, ``last`` the final."""
     models = (previous.experiment, previous.estimate.theta, current.experiment, current.estimate.theta)
     locate = partial(localize_residual, *models, search.progress)
     nowhere = ResidualLocation((effect.chosen.target,) if effect.chosen.joint else (), (), "")
     location = stages.run("the location of a residual", locate, nowhere)
     draw = partial(effect_profile, effect.entry, *models, search.progress)
     profile = stages.run("the picture of a step", draw, None)
-    parameters, errors = _parameters(effect, search)
+    parameters, errors = _parameters(effect, last)
     selection = effect.selection
     alike = [fitted_record(candidate, selection.base) for candidate in selection.indistinguishable]
     experiment = current.experiment
@@ -300,15 +300,14 @@ def _fit_with_first_effects(search: EffectSearch, count: int) -> tuple[Linearize
     return fitted, evaluate_errors(fitted.experiment, fitted.estimate.theta, False, search.progress)
 
 
-def _parameters(effect: AddedEffect, search: EffectSearch) -> tuple[dict[str, object], dict[str, object]]:
+def _parameters(effect: AddedEffect, last: Fit) -> tuple[dict[str, object], dict[str, object]]:
     """Values and standard errors of an effect's parameters by name, in the final model."""
     values: dict[str, object] = {}
     errors: dict[str, object] = {}
     for name, value in effect.entry.values.items():
         values[name] = value
         errors[name] = _nonlinear_error(effect, name, value)
-    linear = linear_parameters(search.current, effect.entry, effect.selection.inflation)
-    for name, (value, error) in linear.items():
+    for name, (value, error) in last.effect_parameters(effect.entry).items():
         values[name] = value
         errors[name] = error
     return values, errors

@@ -9,8 +9,6 @@ import time
 from collections.abc import Sequence
 from itertools import combinations
 
-import numpy as np
-
 from idtool.common.exceptions import ConfigError
 from idtool.common.processes import in_processes, interleaved_shares
 from idtool.diagnosis.bursts import find_bursts
@@ -446,9 +444,8 @@ class EffectSearch:
         """Remove effects for which the evidence is not enough, one after the other."""
         while self.reported:
             entries = [effect.entry for effect in self.reported]
-            inflation = float(np.median([effect.selection.inflation for effect in self.reported]))
             without = self.model.without_each()
-            unproven = find_unproven(self.current, entries, without, inflation, self.progress)
+            unproven = find_unproven(self.current, entries, without, self.progress)
             if unproven is None:
                 return
             effect = self.reported[unproven.index]

@@ -102,10 +102,11 @@ class LinearizedFit:
     def find_effect(self, entry: EffectEntry) -> tuple[NamedEffect, slice] | None:
         """Effect of a configuration entry and the range of its coefficients in theta; None if it has none."""
         key = effect_from_entry(entry, self.experiment.model).key
-        for effect, part in self.experiment.equation.effect_slices():
-            if isinstance(effect, NamedEffect) and effect.key == key and part.stop > part.start:
-                return effect, part
-        return None
+        effect_and_slice = self.experiment.equation.find_named_effect(key)
+        if effect_and_slice is None:
+            return None
+        _, part = effect_and_slice
+        return effect_and_slice if part.stop > part.start else None
 
     @property
     def block_count(self) -> int:
@@ -148,6 +149,12 @@ class LinearizedFit:
         for gram, score in zip(self.gram, self.score, strict=True):
             shifts.append(np.linalg.solve(self.information - gram, -score))
         return np.stack(shifts)
+
+    def jackknife_covariance(self, coefficients: slice) -> Array:
+        """Covariance of m coefficients, given by their range, over blocks that are left out in turn, shape (m, m)."""
+        shift = self.jackknife_shift @ self.directions[coefficients].T
+        deviation = shift - shift.mean(axis=0)
+        return np.asarray((self.block_count - 1) / self.block_count * deviation.T @ deviation)
 
 
 def linearize_fit(

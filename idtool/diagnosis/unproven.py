@@ -45,7 +45,6 @@ def find_unproven(
     current: LinearizedFit,
     entries: Sequence[EffectEntry],
     without: Sequence[LinearizedFit],
-    inflation: float,
     progress: Progress,
 ) -> UnprovenEffect | None:
     """The effect with the least evidence; None if there is enough for all.
@@ -58,8 +57,6 @@ def find_unproven(
         Entries of the effects to judge, as in the model.
     without
         The models without each of them, on the rows by which the effect is judged.
-    inflation
-        Number of rows that are worth one independent one.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
@@ -78,7 +75,7 @@ def find_unproven(
         if is_small and share < _MIN_EXPLAINED:
             return UnprovenEffect(k, "it explains less than a tenth of what another effect does")
         if share < _MIN_EXPLAINED_IF_VARYING:
-            (sizes,) = estimate_on_parts(current, [entries[k]], inflation, progress)
+            (sizes,) = estimate_on_parts(current, [entries[k]], progress)
             if difference := contradiction(sizes):
                 return UnprovenEffect(k, f"it is not the same everywhere in the data ({difference})")
     return None

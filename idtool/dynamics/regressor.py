@@ -6,7 +6,7 @@ the same low-pass. Here a block is their transpose in one array, the torque last
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -110,6 +110,13 @@ class LinearModel:
         offsets = self.offsets().tolist()
         for effect, start, end in zip(self.effects, offsets[:-1], offsets[1:], strict=True):
             yield effect, slice(start, end)
+
+    def find_named_effect(self, key: Hashable) -> tuple[NamedEffect, slice] | None:
+        """Effect of a key and the range of its coefficients among the p unknowns; None if there is none."""
+        for effect, part in self.effect_slices():
+            if isinstance(effect, NamedEffect) and effect.key == key:
+                return effect, part
+        return None
 
     def active(self) -> tuple[Indices, ...]:
         """Per joint, indices of the unknowns in its equation."""

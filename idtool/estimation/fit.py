@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
+from idtool.dynamics.effects import ParameterValue, effect_from_entry
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
@@ -17,7 +18,7 @@ from idtool.estimation.problem.estimate import Estimate
 from idtool.estimation.problem.regularization_path import RegularizationPath
 from idtool.estimation.uncertainty import UncertaintyAnalysis, uncertainty_analysis
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
-from idtool.robot.config import Regularization
+from idtool.robot.config import EffectEntry, Regularization
 from idtool.robot.inertia import PI_SIZE
 from idtool.robot.sets import ConstraintSet
 
@@ -88,6 +89,15 @@ class Fit:
     def parameters(self, index: int) -> Array:
         """The identified parameters of the model's body of that index, shape (10,)."""
         return self.estimate.theta[PI_SIZE * index : PI_SIZE * (index + 1)]
+
+    def effect_parameters(self, entry: EffectEntry) -> dict[str, ParameterValue]:
+        """Linear parameters of one of the configuration's effects with their standard errors, by name."""
+        key = effect_from_entry(entry, self.experiment.model).key
+        effect_and_slice = self.experiment.equation.find_named_effect(key)
+        if effect_and_slice is None:
+            return {}
+        effect, part = effect_and_slice
+        return effect.parameters(self.estimate.theta[part], self.uncertainty.covariance[part, part])
 
 
 def fit(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.dynamics.effects import NamedEffect, ParameterValue, config_parameters, effect_from_entry, friction_types
+from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry, friction_types
 from idtool.estimation.dataset.equality_constraints import Constraint
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.fit import Fit
@@ -283,25 +283,15 @@ def model_config(fit: Fit) -> dict[str, Any]:
 
 def _effect_parameters(fit: Fit, entry: EffectEntry) -> dict[str, dict[str, Any]]:
     """An effect's identified parameters, as the configuration has them."""
-    pairs = config_parameters(_identified_parameters(fit, entry))
+    pairs = config_parameters(fit.effect_parameters(entry))
     return {name: _config_value(**pair) for name, pair in pairs.items()}
-
-
-def _identified_parameters(fit: Fit, entry: EffectEntry) -> dict[str, ParameterValue]:
-    """An effect's identified parameters with their standard errors."""
-    equation = fit.experiment.equation
-    indices = {effect.key: i for i, effect in enumerate(equation.effects) if isinstance(effect, NamedEffect)}
-    i = indices[effect_from_entry(entry, fit.experiment.model).key]
-    effect = cast(NamedEffect, equation.effects[i])
-    part = slice(*equation.offsets()[i : i + 2])
-    return effect.parameters(fit.estimate.theta[part], fit.uncertainty.covariance[part, part])
 
 
 def effect_report(fit: Fit, entry: EffectEntry) -> EffectReport:
     """One entry of ``effects``: its parameters as identified, or as given."""
     parameters = dict(entry.values)
     errors: dict[str, Any] = dict.fromkeys(parameters)
-    for name, (value, error) in _identified_parameters(fit, entry).items():
+    for name, (value, error) in fit.effect_parameters(entry).items():
         parameters[name] = value
         errors[name] = error
     return EffectReport(

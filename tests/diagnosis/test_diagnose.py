@@ -123,8 +123,8 @@ def test_what_is_written_is_the_model_that_was_found(stribeck: CaseFiles, folder
     (step,) = report["steps"]
     assert entry["effect"] == "stribeck_friction"
     for name, given in entry["parameters"].items():
-        assert given["value"] == pytest.approx(step["parameters"][name], rel=0.02)
-        assert given["standard_error"] > 0
+        assert given["value"] == pytest.approx(step["parameters"][name], rel=1e-6)
+        assert given["standard_error"] == pytest.approx(step["standard_error"][name], rel=1e-3)
     again = idtool(
         *("validate", out / "identified.urdf", stribeck.log, "--config", out / "model.yaml"),
         *("--out", out, "--json", "--no-simulation"),
@@ -134,6 +134,13 @@ def test_what_is_written_is_the_model_that_was_found(stribeck: CaseFiles, folder
 
 
 PARTS = {"train": 0.7, "validation": 0.3}
+
+
+def test_a_standard_error_does_not_depend_on_the_effects_searched_for(stribeck: CaseFiles, folder: Path) -> None:
+    all_of_them = diagnosed(stribeck, folder / "all", "--no-simulation")
+    alone = diagnosed(stribeck, folder / "alone", "--no-simulation", "--effects", "stribeck_friction")
+    errors, errors_alone = (report["steps"][0]["standard_error"]["stribeck"] for report in (all_of_them, alone))
+    assert errors == pytest.approx(errors_alone, rel=1e-3)
 
 
 def test_nothing_is_found_where_nothing_is_hidden(folder: Path) -> None:
