@@ -14,7 +14,6 @@ import numpy as np
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import PartEstimate
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, parameter_value
-from idtool.dynamics.effects import effect_types
 from idtool.estimation.dataset.experiment import Experiment, Progress, split_ranges
 from idtool.robot.config import EffectEntry
 
@@ -105,10 +104,9 @@ def _size(trial: TrialFit, index: int) -> tuple[str, float, float] | None:
     for name, (value, error) in _linear_parameters(trial.linearized, entry).items():
         if error is not None and 0 < error < np.inf:
             return name, value, error
-    for name in effect_types()[entry.effect].gradient_parameters():
+    for (moved, name), error in trial.errors.items():
         number = parameter_value(entry, name)
-        error = trial.errors.get((index, name))
-        if isinstance(number, float) and error is not None and 0 < error < np.inf:
+        if moved == index and isinstance(number, float) and 0 < error < np.inf:
             return name, number, error
     return None
 

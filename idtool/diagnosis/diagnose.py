@@ -51,6 +51,8 @@ from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.estimation.fit import Fit, fit, simulate_fit, with_simulation
 
+_NOISE_FLOOR = "the noise floor"  # name of a stage
+
 
 @dataclass(frozen=True)
 class Options:
@@ -123,13 +125,16 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     after = errors_of_fit(last)
     steps = with_doubts(_steps(search, first, last, simulate, stages), experiment.model)
     steps = _confirmed(steps, search, remaining, faults, stages)
-    steps += _unknown_steps(search, remaining, last, stages)
+    unknown_steps = _unknown_steps(search, remaining, last, stages)
+    if unknown_steps:
+        search.note_limit()
+    steps += unknown_steps
     no_maps: ProfilesByJoint = {}
     maps_before = stages.run("the residual map", partial(_maps, first, progress), no_maps)
     maps_after = stages.run("the residual map", partial(_maps, last, progress), no_maps)
     delay_notices = delay.notices if delay else ()
     skipped = [*before_search.notices, *stages.notices]
-    short_data = _short_data_notices(remaining)
+    short_data = () if stages.has_skipped(_NOISE_FLOOR) else tuple(_short_data_notices(remaining))
     return Diagnosis(
         first=first,
         last=last,
@@ -140,7 +145,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         after=after,
         floor=remaining.reported_floor(after),
         is_floor_known=remaining.is_known,
-        verdict=_verdict(steps, remaining.is_known),
+        verdict=_verdict(steps, remaining.is_known, is_complete=not search.stopped),
         searched=options.effects,
         stopped=search.stopped,
         maps_before=maps_before,
@@ -192,7 +197,7 @@ def _remaining_residual(search: EffectSearch, after: ErrorSummary, stages: Stage
     evaluate = partial(evaluate_errors, current.experiment, current.estimate.theta, False, search.progress)
     errors = stages.run("the error of all effects together", evaluate, after)
     estimate_floor = partial(structured_noise_floor, current, structure, search.progress)
-    floor = stages.run("the noise floor", estimate_floor, residual_as_floor(errors))
+    floor = stages.run(_NOISE_FLOOR, estimate_floor, residual_as_floor(errors))
     is_known = structure is not without_structure and floor.is_estimated
     return RemainingResidual(errors, structure, floor, is_known)
 
@@ -402,17 +407,15 @@ def _stopped_notice(search: EffectSearch) -> Notice:
         found = "the effect found by then is reported"
     else:
         found = "the effects found by then are reported"
-    advice = "run it again for the rest"
-    if search.has_failed:
-        advice = "correct the faults of the data, or search for fewer effects: a second run would end in the same way"
-    return Notice("search_interrupted", "warning", None, f"{search.stopped}; {found}", advice)
+    return Notice("search_interrupted", "warning", None, f"{search.stopped}; {found}", search.advice)
 
 
-def _verdict(steps: Sequence[DiagnosisStep], is_floor_known: bool) -> Verdict:
-    """Verdict; model and data do not agree as long as the noise floor is not known."""
+def _verdict(steps: Sequence[DiagnosisStep], is_floor_known: bool, is_complete: bool) -> Verdict:
+    """Verdict; nothing agrees as long as the noise floor is not known, nor is all explained by half a search."""
     has_named = any(step.entry is not None for step in steps)
     has_unknown = any(step.entry is None for step in steps)
     has_doubt = any(step.doubt for step in steps)
     if not has_named:
         return "unexplained" if has_unknown or not is_floor_known else "no_disagreement"
-    return "partly_explained" if has_unknown or has_doubt or not is_floor_known else "explained"
+    is_explained = is_floor_known and is_complete and not (has_unknown or has_doubt)
+    return "explained" if is_explained else "partly_explained"

@@ -72,10 +72,10 @@ class EffectSearch:
         Reason why the model could not be fitted with an effect, by effect and target.
     stopped
         Reason why the search ended before it was complete; empty if it was.
+    advice
+        What to do about that, a clause; empty if the search was complete.
     is_interrupted
         True if Ctrl-C ended it.
-    has_failed
-        True if a failure ended it, which would come again.
 
     Parameters
     ----------
@@ -105,8 +105,8 @@ class EffectSearch:
         self._budget = budget
         self._deadline: float | None = None
         self.stopped = ""
+        self.advice = ""
         self.is_interrupted = False
-        self.has_failed = False
         self.removed: list[str] = []
         self.last_round: SelectionStep | None = None
         self.reversal_joints: dict[str, tuple[float, float]] = {}
@@ -166,20 +166,29 @@ class EffectSearch:
         except KeyboardInterrupt:
             self.interrupt()
         except _TimeLimitError:
-            self._stop("the search reached its time limit")
+            self._stop("the search reached its time limit", "allow it more time with a larger --budget")
         except FAILURES as failure:
-            self.has_failed = True
-            self._stop(f"the search ended early: {failure_reason(failure)}")
+            advice = (
+                "correct the faults of the data, or search for fewer effects: a second run would end in the same way"
+            )
+            self._stop(f"the search ended early: {failure_reason(failure)}", advice)
         self._deadline = None
 
     def interrupt(self) -> None:
         """End the search as after Ctrl-C."""
         self.is_interrupted = True
-        self._stop("the search was interrupted")
+        self._stop("the search was interrupted", "let it run to its end, or limit its time with --budget")
 
-    def _stop(self, reason: str) -> None:
+    def note_limit(self) -> None:
+        """Say that the search ended at the largest number of effects, if it did, although more are missing."""
+        if len(self.reported) >= self._max_effects and not self.stopped:
+            self.stopped = f"the search ended at --max-effects {self._max_effects}"
+            self.advice = "allow more effects"
+
+    def _stop(self, reason: str, advice: str) -> None:
         """Return to the last model that was complete."""
         self.stopped = reason
+        self.advice = advice
         state, removed = self._last_complete
         self.model.restore(state)
         self.removed = list(removed)

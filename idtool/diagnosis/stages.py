@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.diagnosis.trial import FAILURES, failure_reason
 
@@ -26,13 +27,25 @@ class Stages:
     ----------
     is_interrupted
         True if the user has asked for the result.
-    notices
-        Stages that were skipped, with reasons.
     """
 
     def __init__(self, interrupted: bool) -> None:
         self.is_interrupted = interrupted
-        self.notices: list[Notice] = []
+        self._skipped: dict[str, list[str]] = {}  # names of the stages by the reason
+
+    @property
+    def notices(self) -> list[Notice]:
+        """Stages that were skipped, a notice for each reason."""
+        notices = []
+        for reason, names in self._skipped.items():
+            were = "was" if len(names) == 1 else "were"
+            message = f"{join_names(names, most=len(names))} {were} skipped: {reason}"
+            notices.append(Notice("stage_skipped", "warning", None, message))
+        return notices
+
+    def has_skipped(self, name: str) -> bool:
+        """True if a stage of this name was skipped."""
+        return any(name in names for names in self._skipped.values())
 
     def run(self, name: str, stage: Callable[[], T], otherwise: T, is_short: bool = False) -> T:
         """Result of a stage, or the one that stands for it.
@@ -63,4 +76,6 @@ class Stages:
         return otherwise
 
     def _note(self, name: str, reason: str) -> None:
-        self.notices.append(Notice("stage_skipped", "warning", None, f"{name} was skipped: {reason}"))
+        names = self._skipped.setdefault(reason, [])
+        if name not in names:
+            names.append(name)

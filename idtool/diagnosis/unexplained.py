@@ -49,7 +49,8 @@ class RemainingResidual:
     def reported_floor(self, reported: ErrorSummary) -> dict[str, float]:
         """Noise floor of the model without the effects that are not reported, by joint and ``overall`` [N·m or N].
 
-        What these effects explain is added, since the reported model cannot go below it.
+        What these effects explain is added, since the reported model cannot go below it. A floor above the error that
+        the reported model has is no floor: where an effect is undefined, its error depends on chance.
 
         Parameters
         ----------
@@ -58,8 +59,9 @@ class RemainingResidual:
         """
         squares = {}
         for name, rms in zip(_joint_names(self.errors.torque), self.floor.rms.tolist(), strict=True):
-            explained = reported.torque[name] ** 2 - self.errors.torque[name] ** 2
-            squares[name] = rms**2 + max(explained, 0.0)
+            reached = reported.torque[name] ** 2
+            explained = reached - self.errors.torque[name] ** 2
+            squares[name] = min(rms**2 + max(explained, 0.0), reached)
         squares["overall"] = float(np.mean(list(squares.values())))
         return {name: float(np.sqrt(square)) for name, square in squares.items()}
 

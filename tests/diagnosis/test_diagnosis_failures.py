@@ -193,7 +193,7 @@ def test_a_stage_that_fails_is_skipped_and_named(
     if stage != "localize_unexplained":  # nothing remains to be located
         assert skipped
         reason = "the diagnosis was interrupted" if isinstance(failure, KeyboardInterrupt) else "its "
-        assert f" was skipped: {reason}" in skipped[0]
+        assert re.search(f" (was|were) skipped: {reason}", skipped[0])
 
 
 @pytest.mark.parametrize("failure", [ValueError("as this test wants it"), KeyboardInterrupt()])
@@ -213,7 +213,7 @@ def test_effects_stay_where_the_simulation_fails(
     found = diagnose(arm, Options(effects=EFFECTS), silent)
     assert named(found) == {SPRING, OFFSET}
     assert found.last.simulation is None
-    assert "the simulation was skipped" in " ".join(sentences(found.notices))
+    assert re.search("the simulation.* skipped: ", " ".join(sentences(found.notices)))
 
 
 def test_a_search_whose_last_fit_fails_keeps_what_it_found(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:

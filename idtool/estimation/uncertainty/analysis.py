@@ -214,7 +214,7 @@ def _cluster_notices(robust: ClusterRobustEstimate, data: Sequence[Blocks]) -> l
     if robust.correlated_beyond_clusters:
         long = f"the residual is correlated over more than the {robust.cluster_seconds:.2g} s"
         message = f"{long} of the longest possible block: standard errors may be too small"
-        advice = "log for longer, or add missing effects to the model (idtool diagnose)"
+        advice = "log for longer; if the model lacks effects, idtool diagnose finds them"
         notices.append(Notice("correlated_residual", "warning", None, message, advice))
     ratio = robust.bootstrap_ratio
     if ratio is not None and not 1 / _AGREEMENT < ratio < _AGREEMENT:
