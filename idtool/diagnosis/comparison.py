@@ -21,8 +21,7 @@ from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.fitted_pair import ALL_BODIES, RIGID_BODY, FittedPair, GapLevel, TermKey, fitted_delay
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis.trial import with_effects
-from idtool.dynamics.effects import NamedEffect, effect_from_entry
-from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, mechanism_of
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 from idtool.robot.inertia import PI_SIZE, mass_com_inertia, symmetric_entries
@@ -375,7 +374,6 @@ def _simulator_notices(simulator: Diagnosis) -> Iterator[Notice]:
 
 def _changes_bodies(effect: NamedEffect, model: RobotModel) -> bool:
     """True for an effect of inertia or gravity."""
-    mechanism = Mechanism(model)
-    effect.add_to_forward_model(np.array([c.prior for c in effect.coefficients]), mechanism)
-    is_moved = (mechanism.gravity != model.gravity).any()
-    return bool(mechanism.pi.any() or is_moved or effect.modify_model(model) is not model)
+    mechanism = mechanism_of(effect, model)
+    is_tilted = (mechanism.gravity != model.gravity).any()
+    return bool(mechanism.pi.any() or is_tilted or mechanism.model is not model)

@@ -14,8 +14,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import linearize_fit
 from idtool.diagnosis.trial import FAILURES, fit_trial, has_fixed_inertia, with_effects
-from idtool.dynamics.effects import NamedEffect, effect_from_entry
-from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, mechanism_of
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.rollouts import evaluate_rollouts
@@ -247,7 +246,5 @@ def _with_refitted_delay(fitted: Fit, progress: Progress) -> Fit:
 
 def _delays_torque(entry: EffectEntry, model: RobotModel) -> bool:
     """True for an effect that delays the torque."""
-    effect = effect_from_entry(entry, model)
-    mechanism = Mechanism(model)
-    effect.add_to_forward_model(np.array([c.prior for c in effect.coefficients]), mechanism)
+    mechanism = mechanism_of(effect_from_entry(entry, model), model)
     return bool(mechanism.torque_delay.any())
