@@ -21,11 +21,10 @@ from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.fitted_pair import ALL_BODIES, RIGID_BODY, FittedPair, GapLevel, TermKey, fitted_delay
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis.trial import with_effects
-from idtool.dynamics.effects import NamedEffect, effect_from_entry
-from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, mechanism_of
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
-from idtool.robot.inertia import PI_SIZE, mass_com_inertia, symmetric_entries
+from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE, mass_com_inertia, symmetric_entries
 from idtool.robot.model import RobotModel
 
 _MIN_SIGNIFICANCE = 3.0  # standard errors by which a parameter must differ
@@ -160,7 +159,7 @@ def compare(measured: Experiment, simulated: Experiment, options: Options, progr
     robot = diagnose(with_simulator_effects, options, _prefixed(progress, "robot"))
 
     pair = FittedPair(simulator.last, robot.last, _prefixed(progress, "comparison"))
-    changes, made = _changes(pair)
+    changes, changed_keys = _changes(pair)
     return Comparison(
         simulated=simulator,
         measured=robot,
@@ -168,7 +167,7 @@ def compare(measured: Experiment, simulated: Experiment, options: Options, progr
         changes=tuple(change for change in changes if not change.reason),
         unchanged=tuple(change for change in changes if change.reason),
         before=pair.gap_level((), options.simulate),
-        after=pair.gap_level(made, options.simulate),
+        after=pair.gap_level(changed_keys, options.simulate),
         notices=(*_pair_notices(log_pairs), *_simulator_notices(simulator)),
     )
 
@@ -192,7 +191,7 @@ def _linear_entries(diagnosis: Diagnosis) -> list[EffectEntry]:
 
 
 def _with_further_effects(experiment: Experiment, entries: Sequence[EffectEntry]) -> Experiment:
-    """The experiment with further effects; as it is, if it cannot have them."""
+    """The experiment with those of further effects that it does not have already."""
     configured = experiment.config.effects
     present = {effect_from_entry(entry, experiment.model).key for entry in configured}
     more = [entry for entry in entries if effect_from_entry(entry, experiment.model).key not in present]
@@ -200,7 +199,7 @@ def _with_further_effects(experiment: Experiment, entries: Sequence[EffectEntry]
 
 
 def _changes(pair: FittedPair) -> tuple[list[Change], list[TermKey]]:
-    """All differences, those to be made first and the largest share first; and the effects that are to be changed."""
+    """All differences, those to be made first and the largest share first; and the effects to be changed."""
     differences: dict[TermKey, list[Change]] = {}  # a change of all bodies is one of each of them
     significant = []
     for key in pair.keys:
@@ -210,17 +209,22 @@ def _changes(pair: FittedPair) -> tuple[list[Change], list[TermKey]]:
         else:
             change = _change(pair, key)
             differences[key] = [change]
-            is_significant = _is_significant(change)
+            is_on_both_sides = key in pair.simulator_terms and key in pair.robot_terms
+            is_significant = not is_on_both_sides or _is_significant(change)
         if is_significant:
             significant.append(key)
     gap_shares = _gap_shares(pair, significant)
 
-    changes = list(_delay_changes(pair))
-    for key, own in differences.items():
-        closed = gap_shares.get(key, _GapShare(0.0, _INSIGNIFICANT))
-        changes += [replace(change, share=closed.share, reason=closed.reason) for change in own]
+    changes = []
+    delay_change = _delay_change(pair)
+    if delay_change is not None:
+        changes.append(delay_change)
+    for key, changes_of_key in differences.items():
+        gap_share = gap_shares.get(key, _GapShare(0.0, _INSIGNIFICANT))
+        for change in changes_of_key:
+            changes.append(replace(change, share=gap_share.share, reason=gap_share.reason))
     changes.sort(key=lambda change: (bool(change.reason), -(change.share or 0.0)))
-    return changes, [key for key in significant if not gap_shares[key].reason]
+    return changes, _needed(gap_shares)
 
 
 @dataclass(frozen=True)
@@ -237,6 +241,11 @@ class _GapShare:
 
     share: float
     reason: str
+
+
+def _needed(gap_shares: Mapping[TermKey, _GapShare]) -> list[TermKey]:
+    """Differences that need a change in the simulator."""
+    return [key for key, gap_share in gap_shares.items() if not gap_share.reason]
 
 
 def _gap_shares(pair: FittedPair, significant: Sequence[TermKey]) -> dict[TermKey, _GapShare]:
@@ -256,29 +265,27 @@ def _gap_shares(pair: FittedPair, significant: Sequence[TermKey]) -> dict[TermKe
         reason = "" if (reopened > least_change).any() else "hardly changes the torque"
         gap_shares[key] = _GapShare(share, reason)
 
-    made = [key for key in significant if not gap_shares[key].reason]
-    if made and weights @ pair.mean_squared_errors(made) > (1 - _MIN_SHARE) * (weights @ before):
-        useless = _GapShare(0.0, "does not reduce the torque error together with the other changes")
-        gap_shares.update(dict.fromkeys(made, useless))
+    needed = _needed(gap_shares)
+    if needed and weights @ pair.mean_squared_errors(needed) > (1 - _MIN_SHARE) * (weights @ before):
+        without_effect = _GapShare(0.0, "does not reduce the torque error together with the other changes")
+        gap_shares.update(dict.fromkeys(needed, without_effect))
     return gap_shares
 
 
-def _delay_changes(pair: FittedPair) -> Iterator[Change]:
-    """The delay from command to torque, if it was fitted both in the simulator and on the robot."""
+def _delay_change(pair: FittedPair) -> Change | None:
+    """The delay from command to torque; None unless it was fitted both in the simulator and on the robot."""
     simulator = fitted_delay(pair.simulator_fit)
     robot = fitted_delay(pair.robot_fit)
     if simulator is None or robot is None:
-        return
+        return None
     quantity = Quantity(simulator.value, simulator.standard_error, robot.value, robot.standard_error, "s")
     reason = "" if quantity.is_significant else _INSIGNIFICANT
-    yield Change(COMMAND_DELAY, None, None, {"delay": quantity}, None, reason)
+    return Change(COMMAND_DELAY, None, None, {"delay": quantity}, None, reason)
 
 
 def _is_significant(change: Change) -> bool:
-    """True if a parameter differs by more than chance, or one side has no such effect."""
-    quantities = change.quantities.values()
-    is_absent = any(quantity.simulator is None or quantity.robot is None for quantity in quantities)
-    return is_absent or any(quantity.is_significant for quantity in quantities)
+    """True if a parameter of an effect that both sides have differs by more than chance."""
+    return any(quantity.is_significant for quantity in change.quantities.values())
 
 
 def _change(pair: FittedPair, key: TermKey) -> Change:
@@ -292,7 +299,7 @@ def _change(pair: FittedPair, key: TermKey) -> Change:
     robot = robot_term.parameters() if robot_term else {}
     units = term.effect.parameter_units()
     quantities = {}
-    for name in robot or simulator:
+    for name in dict.fromkeys([*robot, *simulator]):
         unit = units.get(name)
         values = (*simulator.get(name, (None, None)), *robot.get(name, (None, None)))
         quantities[name] = Quantity(*values, None if unit == "1" else unit)
@@ -304,9 +311,12 @@ def _change(pair: FittedPair, key: TermKey) -> Change:
 def _bodies_changes(pair: FittedPair) -> list[Change]:
     """The inertia of every link and rotor."""
     fitted = pair.robot_fit
+    bodies = fitted.experiment.model.bodies
+    standard_errors = fitted.uncertainty.standard_error[: PI_SIZE * len(bodies)].reshape(-1, PI_SIZE)
+    mass_errors = standard_errors[:, PARAMETER_NAMES.index("m")]
     changes = []
-    for i, body in enumerate(fitted.experiment.model.bodies):
-        mass_error = float(fitted.uncertainty.standard_error[PI_SIZE * i])
+    for i, body in enumerate(bodies):
+        mass_error = float(mass_errors[i])
         errors = {"mass": (0.0, mass_error if np.isfinite(mass_error) else None)}
         simulator = _mass_properties(body.pi)
         robot = _mass_properties(fitted.parameters(i))
@@ -360,7 +370,8 @@ def _simulator_notices(simulator: Diagnosis) -> Iterator[Notice]:
                 f"{last.experiment.model.units[name]} RMS remain"
             )
             yield Notice("simulator_unexplained", "warning", name, message, advice)
-    for entry in last.experiment.config.effects:
+    found = [step.entry for step in simulator.steps if step.entry is not None]
+    for entry in found:
         effect = effect_from_entry(entry, last.experiment.model)
         if _changes_bodies(effect, last.experiment.model):
             target = entry.link or entry.joint
@@ -375,7 +386,6 @@ def _simulator_notices(simulator: Diagnosis) -> Iterator[Notice]:
 
 def _changes_bodies(effect: NamedEffect, model: RobotModel) -> bool:
     """True for an effect of inertia or gravity."""
-    mechanism = Mechanism(model)
-    effect.add_to_forward_model(np.array([c.prior for c in effect.coefficients]), mechanism)
-    is_moved = (mechanism.gravity != model.gravity).any()
-    return bool(mechanism.pi.any() or is_moved or effect.modify_model(model) is not model)
+    mechanism = mechanism_of(effect, model)
+    is_tilted = (mechanism.gravity != model.gravity).any()
+    return bool(mechanism.pi.any() or is_tilted or mechanism.model is not model)

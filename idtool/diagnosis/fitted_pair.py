@@ -14,12 +14,11 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import linearize_fit
 from idtool.diagnosis.trial import FAILURES, fit_trial, has_fixed_inertia, with_effects
-from idtool.dynamics.effects import NamedEffect, effect_from_entry
-from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, mechanism_of
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.rollouts import evaluate_rollouts
-from idtool.estimation.evaluation.torque_errors import evaluate
+from idtool.estimation.evaluation.torque_errors import Errors, evaluate
 from idtool.estimation.fit import Fit, fit
 from idtool.robot.config import EffectEntry, UncertainValue
 from idtool.robot.model import RobotModel
@@ -29,6 +28,8 @@ TermKey = tuple[str, str, int]  # effect, what it acts on, number among several 
 RIGID_BODY = "rigid_body"
 ALL_BODIES: TermKey = (RIGID_BODY, "", 0)
 
+_MODEL = "model"
+_MAX_DISTANCE = 0.5  # between two effects of a kind on a joint, as a share: beyond, each is one of its own
 _MAX_ITERATIONS = 3  # of the fit of nonlinear parameters
 
 
@@ -70,6 +71,9 @@ class FittedTerm:
     def parameters(self) -> dict[str, tuple[Any, Any]]:
         """Values and standard errors by name."""
         values: dict[str, tuple[Any, Any]] = {}
+        for parameter in self.effect.nonlinear_parameters:
+            if parameter.optional_maximum is not None:
+                values[parameter.name] = (0.0, None)  # if it is left out
         if self.entry is not None:
             for name, value in self.entry.values.items():
                 values[name] = (value, _configured_error(self.entry.parameters[name]))
@@ -102,7 +106,7 @@ class FittedPair:
         self.simulator_fit = _with_effects_of(simulator, robot, progress)
         self.robot_fit = _with_effects_of(robot, simulator, progress)
         self.simulator_terms = _terms(self.simulator_fit)
-        self.robot_terms = _terms(self.robot_fit)
+        self.robot_terms = _terms(self.robot_fit, self.simulator_terms)
 
     @property
     def keys(self) -> list[TermKey]:
@@ -140,24 +144,25 @@ class FittedPair:
 
     def mean_squared_errors(self, changed: Collection[TermKey]) -> Array:
         """Mean squared torque error of `changed_simulator` on the robot's logs, shape (nv,) [(N·m)² or N²]."""
-        experiment, theta = self.changed_simulator(changed)
-        evaluation = evaluate(experiment, {"model": theta}, self.robot_fit.has_held_out, self._progress)
-        errors = evaluation.errors["model"]
+        errors = self._torque_errors(*self.changed_simulator(changed))
         return np.asarray(errors.sum_squares_in_band / max(errors.samples, 1))
 
     def gap_level(self, changed: Collection[TermKey], simulate: bool) -> GapLevel:
         """Errors of `changed_simulator` on the robot's logs."""
-        mean_squares = self.mean_squared_errors(changed)
-        joints = self.robot_fit.experiment.equation.joints
-        torque = dict(zip(joints, np.sqrt(mean_squares).tolist(), strict=True))
-        torque["overall"] = float(np.sqrt(mean_squares.mean()))
+        experiment, theta = self.changed_simulator(changed)
+        joints = experiment.equation.joints
+        torque = self._torque_errors(experiment, theta).rms(joints)
         position = None
         if simulate:
-            experiment, theta = self.changed_simulator(changed)
-            rollouts = evaluate_rollouts(experiment, {"model": theta}, self.robot_fit.has_held_out, self._progress)
-            if "model" in rollouts.errors:
-                position = rollouts.errors["model"].rmse(joints, "position")
+            rollouts = evaluate_rollouts(experiment, {_MODEL: theta}, self.robot_fit.has_held_out, self._progress)
+            if _MODEL in rollouts.errors:
+                position = rollouts.errors[_MODEL].rmse(joints, "position")
         return GapLevel(torque, position)
+
+    def _torque_errors(self, experiment: Experiment, theta: Array) -> Errors:
+        """Torque errors of a model on the robot's logs."""
+        evaluation = evaluate(experiment, {_MODEL: theta}, self.robot_fit.has_held_out, self._progress)
+        return evaluation.errors[_MODEL]
 
 
 def _configured_error(given: Any) -> Any:
@@ -167,31 +172,63 @@ def _configured_error(given: Any) -> Any:
     return given.get("standard_error") if isinstance(given, Mapping) else None
 
 
-def _terms(fitted: Fit) -> dict[TermKey, FittedTerm]:
-    """Effects of a fitted model besides the bodies."""
+def _terms(fitted: Fit, other: Mapping[TermKey, FittedTerm] | None = None) -> dict[TermKey, FittedTerm]:
+    """Effects of a fitted model besides the bodies; keys as in `numbered_terms`."""
     experiment = fitted.experiment
     entries = {effect_from_entry(entry, experiment.model).key: entry for entry in experiment.config.effects}
-    terms: dict[TermKey, FittedTerm] = {}
+    terms = []
     for effect, part in experiment.equation.effect_slices():
         if not isinstance(effect, NamedEffect):
             continue
         covariance = fitted.uncertainty.covariance[part, part]
-        term = FittedTerm(effect, entries.get(effect.key), fitted.estimate.theta[part], covariance)
-        owner = str(effect.key[1]) if len(effect.key) > 1 else ""
+        terms.append(FittedTerm(effect, entries.get(effect.key), fitted.estimate.theta[part], covariance))
+    return numbered_terms(terms, other or {})
+
+
+def numbered_terms(terms: Sequence[FittedTerm], other: Mapping[TermKey, FittedTerm]) -> dict[TermKey, FittedTerm]:
+    """Effects by key. Several of a kind on a joint are numbered as the nearest ones of another model are.
+
+    Parameters
+    ----------
+    terms
+        The effects.
+    other
+        Those of the other model.
+    """
+    numbered: dict[TermKey, FittedTerm] = {}
+    matches = _matches(terms, other)
+    for i, term in enumerate(terms):
+        owner = str(term.effect.key[1]) if len(term.effect.key) > 1 else ""
         number = 0
-        while (effect.id, owner, number) in terms:
+        while (term.effect.id, owner, number) in {*numbered, *other}:
             number += 1
-        terms[effect.id, owner, number] = term
-    return terms
+        key = matches.get(i, (term.effect.id, owner, number))
+        numbered[key] = term
+    return numbered
 
 
-def _with_effects_of(own: Fit, other: Fit, progress: Progress) -> Fit:
+def _matches(terms: Sequence[FittedTerm], other: Mapping[TermKey, FittedTerm]) -> dict[int, TermKey]:
+    """Key of the other model's effect that is the same, by the index of an effect; the nearest pairs come first."""
+    pairs = []
+    for i, term in enumerate(terms):
+        for key, other_term in other.items():
+            distance = term.effect.distance_to(other_term.effect)
+            if distance < _MAX_DISTANCE:
+                pairs.append((distance, i, key))
+    matches: dict[int, TermKey] = {}
+    for _, i, key in sorted(pairs):
+        if i not in matches and key not in matches.values():
+            matches[i] = key
+    return matches
+
+
+def _with_effects_of(fitted: Fit, other: Fit, progress: Progress) -> Fit:
     """A fit with the effects of another besides its own: those with coefficients, and those that every log has."""
-    own_terms = _terms(own)
-    entries = list(own.experiment.config.effects)
+    present = _terms(fitted)
+    entries = list(fitted.experiment.config.effects)
     moving = []
-    for key, term in _terms(other).items():
-        if key in own_terms or term.entry is None:
+    for key, term in _terms(other, present).items():
+        if key in present or term.entry is None:
             continue
         background = term.effect.background_entry()
         if background is not None:
@@ -199,13 +236,13 @@ def _with_effects_of(own: Fit, other: Fit, progress: Progress) -> Fit:
             entries.append(term.entry.model_copy(update={"parameters": background.parameters}))
         elif len(term.theta):
             entries.append(term.entry)
-    if len(entries) == len(own.experiment.config.effects):
-        return own
+    if len(entries) == len(fitted.experiment.config.effects):
+        return fitted
     try:
-        experiment = with_effects(own.experiment, entries, own.estimate.theta)
+        experiment = with_effects(fitted.experiment, entries, fitted.estimate.theta)
         return fit(_with_fitted_values(experiment, moving, progress), progress)
     except FAILURES:  # these data do not determine them
-        return own
+        return fitted
 
 
 def _with_fitted_values(experiment: Experiment, moving: Sequence[int], progress: Progress) -> Experiment:
@@ -247,7 +284,5 @@ def _with_refitted_delay(fitted: Fit, progress: Progress) -> Fit:
 
 def _delays_torque(entry: EffectEntry, model: RobotModel) -> bool:
     """True for an effect that delays the torque."""
-    effect = effect_from_entry(entry, model)
-    mechanism = Mechanism(model)
-    effect.add_to_forward_model(np.array([c.prior for c in effect.coefficients]), mechanism)
+    mechanism = mechanism_of(effect_from_entry(entry, model), model)
     return bool(mechanism.torque_delay.any())

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from idtool.diagnosis.comparison import COMMAND_DELAY
+from idtool.diagnosis.fitted_pair import RIGID_BODY
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
 from idtool.reporting.number_text import number
 from idtool.reporting.results.base import ByJointOrNone
@@ -22,12 +23,11 @@ from idtool.reporting.results.fit import EffectReport
 from idtool.reporting.simulation_report import POSITION_UNITS
 
 UNKNOWN = "unknown"
-BODIES = "rigid_body"  # a change of a link's inertia
 
 
 def effect_name(effect: str) -> str:
     """An effect's id in plain words."""
-    if effect == BODIES:
+    if effect == RIGID_BODY:
         return "inertia"
     kind = effect_types().get(effect)
     return (kind.label if kind else "") or effect.replace("_", " ")
@@ -184,8 +184,8 @@ def against_summary(report: AgainstReport, unit: str, floor: float, stopped: str
             f"{incomplete}No change to make in the simulator was found. Its torque error on the robot's logs is "
             f"{before:.3g} {unit} RMS, and the noise floor is {floor:.3g} {unit}."
         )
-    effects = [change for change in report.changes if change.effect != BODIES]
-    bodies = [owner_name(change) for change in report.changes if change.effect == BODIES]
+    effects = [change for change in report.changes if change.effect != RIGID_BODY]
+    bodies = [owner_name(change) for change in report.changes if change.effect == RIGID_BODY]
     differences = [_effect_on_owner(change) for change in effects]
     if bodies:
         links = "link" if len(bodies) == 1 else "links"

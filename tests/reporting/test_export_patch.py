@@ -23,10 +23,15 @@ FRICTION = {
 
 
 def export(
-    folder: Path, text: str, changes: list[ChangeReport] | None, *effects: dict[str, Any], name: str = "scene.xml"
+    folder: Path,
+    text: str,
+    changes: list[ChangeReport] | None,
+    *effects: dict[str, Any],
+    name: str = "scene.xml",
+    **config: Any,
 ) -> Export:
     (folder / "model.urdf").write_text(URDF)
-    identified = model_of(folder / "model.urdf", friction=FRICTION, effects=list(effects))
+    identified = model_of(folder / "model.urdf", friction=FRICTION, effects=list(effects), **config)
     (folder / name).write_text(text)
     return patch_file(identified, folder / name, changes)
 
@@ -135,6 +140,83 @@ def test_gravity_is_an_option_of_the_file(tmp_path: Path) -> None:
         assert model.opt.timestep == 0.002
 
 
+def test_gravity_that_the_file_has_already_is_no_change(tmp_path: Path) -> None:
+    for tilted in ([0.123456789, 0.0, -9.8], [0.0, 0.0, -9.81]):
+        tilt = change("gravity_tilt", None, gravity=([1.0, 0.0, -9.76], tilted))
+        first = export(tmp_path, MJCF, [tilt])
+        again = export(tmp_path, first.text.decode(), [tilt])
+        assert (again.text, again.carried) == (first.text, ())
+        assert len(first.carried) == (tilted[0] != 0)
+
+
+def test_a_tilt_of_the_simulator_alone_is_removed(tmp_path: Path) -> None:
+    tilt = change("gravity_tilt", None, gravity=([0.5, 0.0, -9.797], None))
+    text = MJCF.replace("<worldbody>", '<option gravity="0.5 0 -9.797"/><worldbody>')
+    result = export(tmp_path, text, [tilt])
+    assert loaded(result).opt.gravity.tolist() == [0.0, 0.0, -9.81]
+    assert result.not_carried == ()
+
+
+def test_without_changes_a_tilt_is_written_too(tmp_path: Path) -> None:
+    tilt = {"effect": "gravity_tilt", "parameters": {"gravity": [0.5, 0.0, -9.797]}}
+    result = export(tmp_path, MJCF, None, tilt)
+    assert loaded(result).opt.gravity.tolist() == [0.5, 0.0, -9.797]
+    assert ("gravity_tilt", "base") in {(part.what, part.of) for part in result.carried}
+    urdf = export(tmp_path, URDF, None, tilt, name="arm.urdf")
+    assert [part.what for part in urdf.not_carried] == ["gravity_tilt"]
+
+
+def test_gravity_is_not_written_where_the_file_turns_the_base(tmp_path: Path) -> None:
+    tilt = change("gravity_tilt", None, gravity=(None, [0.5, 0.0, -9.797]))
+    for turn, is_turned in (
+        ('quat="0.7071 0.7071 0 0"', True),
+        ('euler="0 0 1.5708"', True),
+        ('quat="1 0 0 0"', False),
+        ("", False),
+    ):
+        mounted = MJCF.replace('<body name="column"', f'<body name="base" {turn}><body name="column"')
+        mounted = mounted.replace("</worldbody>", "</body></worldbody>")
+        hung = MJCF.replace('<body name="column"', f'<body name="column" {turn}')
+        for text, body in ((mounted, "base"), (hung, "column")):
+            result = export(tmp_path, text, [tilt])
+            np.testing.assert_allclose(loaded(result).opt.gravity, [0, 0, -9.81] if is_turned else [0.5, 0, -9.797])
+            if is_turned:
+                (part,) = result.not_carried
+                assert f"the file turns body {body}" in part.detail
+                assert "[0.5000, 0.000, -9.797]" in part.detail
+
+
+PAYLOAD = {"mass": 0.5, "com": [0.0, 0.0, -0.12], "inertia": [0.008, 0.0, 0.008, 0.0, 0.0, 0.001]}
+
+
+def test_a_payload_of_the_simulator_alone_is_removed(tmp_path: Path) -> None:
+    payload = change("payload", None, "lower", **{name: (value, None) for name, value in PAYLOAD.items()})
+    laden = MJCF.replace('mass="1" diaginertia="0.008 0.008 0.001"', 'mass="1.5" diaginertia="0.016 0.016 0.002"')
+    result = export(tmp_path, laden, [payload])
+    assert loaded(result).body("lower").mass[0] == 1.0
+    np.testing.assert_allclose(loaded(result).body("lower").inertia, [0.008, 0.008, 0.001])
+    bare = export(tmp_path, MJCF, [payload])
+    assert bare.text.decode() == MJCF
+    (part,) = bare.not_carried
+    assert part.detail.startswith("the file's inertial, 1.000 kg")
+    assert "is not the URDF's with the simulator's payload, 1.500 kg" in part.detail
+
+
+def test_identified_rotors_are_listed(tmp_path: Path) -> None:
+    rotor = {
+        "joint": "elbow",
+        "gear_ratio": 10.0,
+        "parent": "upper",
+        "origin": {"xyz": [0.0, 0.0, -0.3], "rpy": [0.0, 0.0, 0.0]},
+        "axis": [0, 1, 0],
+        "inertial": {"mass": 0.3, "com": [0.0, 0.0, 0.0], "inertia": [1e-4, 0.0, 2e-4, 0.0, 0.0, 1e-4]},
+    }
+    for name, text in (("scene.xml", MJCF), ("arm.urdf", URDF)):
+        result = export(tmp_path, text, None, name=name, rotors={"elbow_rotor": rotor})
+        (part,) = result.not_carried
+        assert (part.what, part.of, part.value, part.unit) == ("rotor", "elbow_rotor", 2e-4, "kg·m²")
+
+
 def test_an_inertial_in_another_frame_is_left_alone(tmp_path: Path) -> None:
     body = change(
         "rigid_body",
@@ -159,8 +241,13 @@ def test_an_inertial_in_another_frame_is_left_alone(tmp_path: Path) -> None:
 
 def test_numbers_that_are_none_are_refused(tmp_path: Path) -> None:
     spring = change("parallel_spring", "elbow", stiffness=(None, 7.0), rest_position=(None, 0.4))
-    with pytest.raises(ModelError, match=r"scene\.xml: joint elbow: ref is not a number: zero"):
-        export(tmp_path, MJCF.replace('name="elbow"', 'name="elbow" ref="zero"'), [spring])
+    for ref in ("zero", "1 2"):
+        with pytest.raises(ModelError, match=rf"scene\.xml: joint elbow: ref is not a number: {ref}"):
+            export(tmp_path, MJCF.replace('name="elbow"', f'name="elbow" ref="{ref}"'), [spring])
+    with pytest.raises(ModelError, match=r"scene\.xml: inertial: mass is not a number: 1 2"):
+        export(tmp_path, MJCF.replace('mass="1" ', 'mass="1 2" '), None)
+    with pytest.raises(ModelError, match=r"scene\.xml: inertial: pos is not 3 numbers: 0 -0.12"):
+        export(tmp_path, MJCF.replace('pos="0 0 -0.12"', 'pos="0 -0.12"'), None)
 
 
 def test_names_elsewhere_in_the_file_are_not_joints(tmp_path: Path) -> None:

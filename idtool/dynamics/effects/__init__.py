@@ -11,6 +11,8 @@ import inspect
 import pkgutil
 from functools import cache
 
+import numpy as np
+
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import printable, suggestion
 from idtool.dynamics.effects.effect import Coefficient, Effect
@@ -18,6 +20,7 @@ from idtool.dynamics.effects.entry_parameters import entry_location
 from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.named_effect import NamedEffect, ParameterValue, config_parameters
 from idtool.dynamics.effects.rigid_body import RigidBodies
+from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import Config, EffectEntry, Friction, UncertainValue
 from idtool.robot.model import RobotModel
 
@@ -33,6 +36,7 @@ __all__ = [
     "effect_from_entry",
     "effect_types",
     "friction_types",
+    "mechanism_of",
     "target_name",
 ]
 
@@ -86,6 +90,22 @@ def build_effects(model: RobotModel, config: Config) -> tuple[Effect, ...]:
         entry_keys.add(effect.key)
         effects[effect.key] = effect
     return (RigidBodies(model), *sorted(effects.values(), key=lambda effect: effect.order))
+
+
+def mechanism_of(effect: Effect, model: RobotModel) -> Mechanism:
+    """Forward model of one effect without the rest of the robot; its coefficients are their priors.
+
+    Parameters
+    ----------
+    effect
+        The effect.
+    model
+        The robot without it.
+    """
+    mechanism = Mechanism(effect.modify_model(model))
+    theta = np.array([c.prior for c in effect.coefficients])
+    effect.add_to_forward_model(theta, mechanism)
+    return mechanism
 
 
 def target_name(effect: str, joint: str | None, link: str | None) -> str:

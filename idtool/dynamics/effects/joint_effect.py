@@ -178,6 +178,20 @@ class JointEffect(NamedEffect):
     def key(self) -> tuple[str | float, ...]:
         return self.id, self.owner, *self.instance
 
+    @override
+    def distance_to(self, other: NamedEffect) -> float:
+        if not isinstance(other, JointEffect) or (self.id, self.owner) != (other.id, other.owner):
+            return np.inf
+        distance = 0.0
+        for parameter in self.nonlinear_parameters:
+            if not parameter.distinguishes_instances:
+                continue
+            value, other_value = self.nonlinear_values[parameter.name], other.nonlinear_values[parameter.name]
+            if value != other_value:
+                relative = abs(value - other_value) / max(abs(value), abs(other_value))
+                distance = max(distance, np.inf if parameter.is_joint else relative)
+        return distance
+
     @property
     @override
     def column_key(self) -> Hashable | None:

@@ -11,6 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from idtool.common.arrays import Array
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.effect import Effect
@@ -213,6 +215,13 @@ class NamedEffect(Effect):
     @abstractmethod
     def key(self) -> tuple[str | float, ...]:
         """Id, what the effect acts on, and what distinguishes it from others on the same."""
+
+    def distance_to(self, other: NamedEffect) -> float:
+        """Distance to an effect of another model, as a share of what distinguishes several on one joint; 0: the same.
+
+        It is infinite if the two cannot be the same with other values.
+        """
+        return 0.0 if self.key == other.key else np.inf
 
     @abstractmethod
     def parameters(self, theta: Array, covariance: Array) -> dict[str, ParameterValue]:

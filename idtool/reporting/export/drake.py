@@ -169,7 +169,7 @@ def _list_parts(
         Part("inertial", link, "mass including everything fixed to it", float(pi[0]), "kg")
         for link, pi in links.items()
     ]
-    carried += identified.inertias
+    carried += [*identified.inertias, *identified.armatures]
     not_carried = [*identified.others, *(replace(part, detail=NO_EQUIVALENT) for part in identified.offsets)]
     for term in identified.terms:
         if _is_damping(term):

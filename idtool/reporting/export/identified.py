@@ -13,7 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
-from idtool.dynamics.effects import NamedEffect, RigidBodies, build_effects
+from idtool.dynamics.effects import NamedEffect, RigidBodies, build_effects, mechanism_of
 from idtool.dynamics.effects.simulator_element import SimulatorElement
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.regressor import LinearModel
@@ -69,10 +69,8 @@ class IdentifiedModel:
         The model run forwards.
     terms
         Torque on joints that is a function of the state.
-    inertias
-        Effects that are in the mechanism's ``pi``, ``armature`` or ``gravity``.
-    offsets
-        Effects that are in its ``position_offset``.
+    inertias, armatures, tilts, offsets
+        Effects that are in the mechanism's ``pi``, ``armature``, ``gravity`` and ``position_offset``.
     others
         Effects that are none of this.
     """
@@ -83,6 +81,8 @@ class IdentifiedModel:
     mechanism: Mechanism
     terms: tuple[EffectTorque, ...]
     inertias: tuple[Part, ...]
+    armatures: tuple[Part, ...]
+    tilts: tuple[Part, ...]
     offsets: tuple[Part, ...]
     others: tuple[Part, ...]
 
@@ -128,10 +128,10 @@ def identified_model(robot: Robot, config: Config) -> IdentifiedModel:
         If they do not go together.
     """
     free = [name for name in robot.joints if name not in config.locked_joints]
-    model = build_model(robot, config, config.joints or free)
-    equation = LinearModel(model.names, build_effects(model, config))
+    without_effects = build_model(robot, config, config.joints or free)
+    equation = LinearModel(without_effects.names, build_effects(without_effects, config))
     model = next(effect.model for effect in equation.effects if isinstance(effect, RigidBodies))
-    sorts = _EffectsByForm(model)
+    sorts = _EffectsByForm(without_effects)
     for effect in equation.effects:
         if isinstance(effect, NamedEffect):
             sorts.add(effect)
@@ -143,6 +143,8 @@ def identified_model(robot: Robot, config: Config) -> IdentifiedModel:
         mechanism=mechanism,
         terms=tuple(sorts.terms),
         inertias=tuple(sorts.inertias),
+        armatures=tuple(sorts.armatures),
+        tilts=tuple(sorts.tilts),
         offsets=tuple(sorts.offsets),
         others=tuple(sorts.others),
     )
@@ -150,29 +152,38 @@ def identified_model(robot: Robot, config: Config) -> IdentifiedModel:
 
 @dataclass
 class _EffectsByForm:
-    """Effects by the form that they have when the model is run forwards."""
+    """Effects by the form that they have when the model is run forwards.
+
+    Attributes
+    ----------
+    model
+        The robot without the effects.
+    terms, inertias, armatures, tilts, offsets, others
+        As in `IdentifiedModel`.
+    """
 
     model: RobotModel
     terms: list[EffectTorque] = field(default_factory=list)
     inertias: list[Part] = field(default_factory=list)
+    armatures: list[Part] = field(default_factory=list)
+    tilts: list[Part] = field(default_factory=list)
     offsets: list[Part] = field(default_factory=list)
     others: list[Part] = field(default_factory=list)
 
     def add(self, effect: NamedEffect) -> None:
         """Sort an effect by the changes that it alone makes to the model's forward dynamics."""
         theta = np.array([c.prior for c in effect.coefficients])
-        mechanism = Mechanism(self.model)
-        effect.add_to_forward_model(theta, mechanism)
+        mechanism = mechanism_of(effect, self.model)
         owner = next((name for name in effect.key[1:] if isinstance(name, str) and name), "robot")
         amount = self._amount(effect, theta)
         if any(value for _, value in (*mechanism.smooth_terms, *mechanism.dry_friction_terms)):
             self.terms.append(EffectTorque(effect.id, owner, effect.simulator_elements(theta), amount))
-        if mechanism.pi.any() or effect.modify_model(self.model) is not self.model:
+        if mechanism.pi.any() or mechanism.model.bodies is not self.model.bodies:
             self.inertias.append(Part(effect.id, owner, "in the inertials", *amount))
         if mechanism.armature.any():
-            self.inertias.append(Part(effect.id, owner, "armature", *amount))
+            self.armatures.append(Part(effect.id, owner, "armature", *amount))
         if (mechanism.gravity != self.model.gravity).any():
-            self.inertias.append(Part(effect.id, owner, "gravity", *amount))
+            self.tilts.append(Part(effect.id, owner, "gravity", *amount))
         if mechanism.position_offset.any():
             self.offsets.append(Part(effect.id, owner, "ref of the joint", *amount))
         has_hysteresis = any(value for _, value in mechanism.hysteresis_terms)

@@ -64,7 +64,7 @@ def to_mujoco(identified: IdentifiedModel, rotor_bodies: bool = False) -> Export
 def _add_effects(scene: Scene) -> None:
     """Add the effects on the joints."""
     identified = scene.identified
-    scene.carried += [*identified.inertias, *identified.offsets]
+    scene.carried += [*identified.inertias, *identified.armatures, *identified.tilts, *identified.offsets]
     for j, forces in enumerate(scene.forces.values()):
         forces.armature = float(identified.mechanism.armature[j])
         forces.ref = -float(identified.mechanism.position_offset[j])

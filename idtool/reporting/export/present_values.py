@@ -10,7 +10,13 @@ from idtool.common.arrays import Array
 from idtool.robot.inertia import round_to_digits, rounded_inertial, symmetric_entries
 from idtool.robot.urdf.text import Element
 
-_TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")  # attributes that turn an inertial's axes in MJCF
+_ORIENTATIONS = {
+    "quat": "1 0 0 0",
+    "axisangle": None,
+    "xyaxes": "1 0 0 0 1 0",
+    "zaxis": "0 0 1",
+    "euler": "0 0 0",
+}  # attributes that turn the axes of an element of MJCF, and their values that do not
 _INERTIA = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 _TOLERANCE = 1e-6  # relative, of an inertial
 
@@ -34,10 +40,18 @@ def has_value(written: str | None, value: str, digits: int) -> bool:
     return bool(np.array_equal(round_to_digits(present, digits), new))
 
 
+def is_turned(element: Element) -> bool:
+    """True if an element of MJCF may have other axes than its parent."""
+    for name, identity in _ORIENTATIONS.items():
+        if name in element.attributes and element.attributes[name].split() != (identity or "").split():
+            return True
+    return False
+
+
 def has_mjcf_inertia(inertial: Element, pi: Array) -> bool:
     """True if an inertial of MJCF is that of a body; one with turned axes counts as another."""
     attributes = inertial.attributes
-    if any(name in attributes for name in _TURNED):
+    if is_turned(inertial):
         return False
     entries = _numbers(attributes.get("fullinertia", f"{attributes.get('diaginertia')} 0 0 0"))
     if entries is None or entries.shape != (6,):

@@ -1,0 +1,125 @@
+"""Effects of a simulator and of a robot side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from disturbed import URDF, experiment_of, nothing, silent, torque_on_joint
+from numpy.typing import NDArray
+
+from idtool.diagnosis.comparison import _changes, _simulator_notices
+from idtool.diagnosis.diagnose import Options, diagnose
+from idtool.diagnosis.fitted_pair import FittedPair, FittedTerm, numbered_terms
+from idtool.dynamics.effects import effect_from_entry
+from idtool.estimation.fit import Fit, fit
+from idtool.robot.config import EffectEntry, parse_config
+from idtool.robot.model import build_model
+from idtool.robot.urdf.reading import read_robot
+
+Array = NDArray[np.float64]
+
+
+def term(folder: Path, effect: str, **parameters: Any) -> FittedTerm:
+    """An effect on the first joint with its parameters as they are configured."""
+    (folder / "arm.urdf").write_text(URDF)
+    model = build_model(read_robot(folder / "arm.urdf"), parse_config({}, ""), ["j1", "j2"])
+    entry = EffectEntry(effect=effect, joint="j1", parameters=parameters)
+    named = effect_from_entry(entry, model)
+    count = len(named.coefficients)
+    return FittedTerm(named, entry, np.array([c.prior for c in named.coefficients]), np.eye(count))
+
+
+def places(terms: dict[Any, FittedTerm]) -> dict[int, float]:
+    """Position or number of periods by the number of the effect."""
+    return {number: term.effect.key[2] for (_, _, number), term in terms.items()}
+
+
+def test_an_effect_is_compared_with_the_nearest_of_its_kind(tmp_path: Path) -> None:
+    for effect, name, linear, simulator, robot in (
+        ("end_stop", "position", {"stiffness": 9.0}, (0.7, -0.6), (-0.65, 0.75)),
+        ("torque_ripple", "periods", {"amplitude": 1.0, "phase": 0.1}, (6.0, 12.0, 7.0), (12.1, 6.9, 6.1)),
+    ):
+        others = numbered_terms([term(tmp_path, effect, **linear, **{name: x}) for x in simulator], {})
+        own = numbered_terms([term(tmp_path, effect, **linear, **{name: x}) for x in robot], others)
+        matched = places(own)
+        for number, place in places(others).items():
+            assert abs(matched[number] - place) < 0.2
+        assert len(own) == len(robot)
+
+
+def test_effects_at_opposite_ends_or_of_other_joints_are_not_the_same(tmp_path: Path) -> None:
+    upper, lower = (term(tmp_path, "end_stop", stiffness=9.0, position=x) for x in (0.7, -0.7))
+    others = numbered_terms([upper], {})
+    assert set(numbered_terms([lower], others)).isdisjoint(others)
+    both = numbered_terms([lower, upper], others)
+    assert both[next(iter(others))] is upper
+    assert len(both) == 2
+
+
+def test_a_parameter_that_was_left_out_is_zero(tmp_path: Path) -> None:
+    given = term(tmp_path, "backlash", width=0.02, motor_friction={"value": 0.3, "standard_error": 0.05})
+    left_out = term(tmp_path, "backlash", width=0.02)
+    assert given.parameters()["motor_friction"] == (0.3, 0.05)
+    assert left_out.parameters()["motor_friction"] == (0.0, None)
+
+
+def stopped_at(*stops: tuple[float, float]) -> Any:
+    """Torque of stops on the first joint, by position and stiffness."""
+
+    def torque(t: Array, q: Array, v: Array, tau: Array) -> Array:
+        total = np.zeros_like(q)
+        for position, stiffness in stops:
+            side = np.sign(position)
+            total += stiffness * side * np.maximum(side * (q - position), 0)
+        return total
+
+    return torque_on_joint(0, torque)
+
+
+def fitted(folder: Path, *effects: dict[str, Any], hidden: Any = nothing) -> Fit:
+    folder.mkdir()
+    return fit(experiment_of(folder, hidden, effects=list(effects)), silent)
+
+
+def stop(position: float) -> dict[str, Any]:
+    return {"effect": "end_stop", "joint": "j1", "parameters": {"stiffness": 0.0, "position": position}}
+
+
+def test_stops_in_another_order_are_compared_one_by_one(tmp_path: Path) -> None:
+    simulator = fitted(tmp_path / "simulator", stop(0.7), stop(-0.7), hidden=stopped_at((0.7, 20), (-0.7, 40)))
+    robot = fitted(tmp_path / "robot", stop(-0.7), stop(0.7), hidden=stopped_at((-0.7, 40), (0.7, 60)))
+    pair = FittedPair(simulator, robot, silent)
+    changes, changed = _changes(pair)
+    stops = [change for change in changes if change.effect == "end_stop"]
+    assert [change.quantities["position"].simulator for change in stops] == [0.7, -0.7]
+    needed, other = stops
+    assert (needed.reason, bool(other.reason)) == ("", True)
+    np.testing.assert_allclose(needed.quantities["stiffness"].simulator, 20, rtol=0.05)
+    np.testing.assert_allclose(needed.quantities["stiffness"].robot, 60, rtol=0.05)
+    level = pair.gap_level(changed, simulate=False)
+    np.testing.assert_allclose(np.square([level.torque["j1"], level.torque["j2"]]), pair.mean_squared_errors(changed))
+
+
+def test_a_left_out_share_is_no_difference(tmp_path: Path) -> None:
+    """Both have a play; its share of friction on the motor's side was not significant in one of them."""
+    play = {"effect": "backlash", "joint": "j1", "parameters": {"width": {"value": 0.02, "standard_error": 0.001}}}
+    shared = {**play, "parameters": {**play["parameters"], "motor_friction": {"value": 0.1, "standard_error": 0.05}}}
+    bare = fitted(tmp_path / "bare", play)
+    full = fitted(tmp_path / "full", shared)
+    for simulator, robot in ((bare, full), (full, bare)):
+        changes, _ = _changes(FittedPair(simulator, robot, silent))
+        (change,) = [change for change in changes if change.effect == "backlash"]
+        assert set(change.quantities) == {"width", "motor_friction"}
+        assert {change.quantities["motor_friction"].simulator, change.quantities["motor_friction"].robot} == {0.0, 0.1}
+        assert change.reason == "differs by less than 3 standard errors"
+
+
+def test_bodies_that_the_configuration_changes_are_those_of_the_simulator(tmp_path: Path) -> None:
+    tilt = {"effect": "gravity_tilt", "parameters": {"gravity": [0.0, 0.0, -9.81]}}
+    experiment = experiment_of(tmp_path, nothing, effects=[tilt])
+    options = Options(inertia="fixed", effects=("payload",), simulate=False)
+    simulator = diagnose(experiment, options, silent)
+    assert simulator.steps == ()
+    assert list(_simulator_notices(simulator)) == []
