@@ -282,11 +282,11 @@ def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
         return [step_of(chosen=load, parameters=parameters) for load in loads]
 
     assert with_doubts(loaded(0.99), model) == loaded(0.99)
-    assert _verdict(loaded(0.99), True) == "explained"
+    assert _verdict(loaded(0.99), is_floor_known=True, is_complete=True) == "explained"
     steps = with_doubts([*loaded(1.01), step_of()], model)
     assert [bool(step.doubt) for step in steps] == [True, True, False]
     assert f"the payload on thigh_link and shank_link, {1.01 * moving:.3g} kg, is heavier than all" in steps[0].doubt
-    assert _verdict(steps, True) == "partly_explained"
+    assert _verdict(steps, is_floor_known=True, is_complete=True) == "partly_explained"
     report = report_of(replace(found, steps=tuple(steps[:1]), verdict="partly_explained"))
     assert report["steps"][0]["evidence"]["doubt"] == steps[0].doubt
     assert report["summary"].endswith(
@@ -458,6 +458,8 @@ def test_options_that_cannot_be(tmp_path: Path, asked: list[Asked], options: lis
         (["--assume", "end_stop:kne"], "did you mean knee? available: abad, hip, knee\n"),
         (["--assume", "end_stop"], "end_stop acts on a joint; give end_stop:JOINT; available: abad, hip, knee\n"),
         (["--assume", "gravity_tilt:hip"], "--assume: gravity_tilt acts on the whole robot; give gravity_tilt without"),
+        (["--assume", "time_delay:kne"], "--assume: kne is not a joint of the model; did you mean knee? available: "),
+        (["--effects", "rounded_friction"], "--effects: rounded_friction is always included in the fit"),
     ],
 )
 def test_names_that_are_possible_are_listed(tmp_path: Path, asked: list[Asked], options: list[str], told: str) -> None:

@@ -125,7 +125,8 @@ def test_rollouts_that_got_worse_are_called_so(found: Diagnosis) -> None:
     assert page.levels[:4] == ["good", "note", "note", "bad"]
     assert "Do not simulate with this model." in page.plain
     change = "all joints 0.0120 → 0.0400 rad"
-    sentence = f"the torque is predicted better, but the simulated motion gets worse at this step: {change}."
+    motion = f"the simulated motion gets worse at this step: {change}"
+    sentence = f"the torque of all joints together is predicted better, but {motion}."
     assert page.plain.count(sentence) == 2  # among the findings, and at the step
     assert "2. Time delay on all joints: the simulated motion gets worse" in page.plain
     assert "1. Stribeck friction on hip: the simulated" not in page.plain
@@ -352,7 +353,7 @@ def test_what_was_tried_and_lost_is_folded_and_grouped(found: Diagnosis) -> None
         ["end stop", "hip", "40.0 ± 3.0 %"],
         ["backlash", "knee, abad", "20.0 ± 3.0 %"],
     ]
-    assert page.rows[first][-1].startswith("explains nearly as much")
+    assert page.rows[first][-1].startswith("the chosen effect explains more")
 
 
 def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.random.Generator) -> None:

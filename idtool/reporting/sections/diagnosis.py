@@ -32,7 +32,7 @@ from idtool.reporting.sections.base import (
 )
 
 _MAX_INCREASE = 1.02  # times the torque error before
-_NO_REASON = "explains nearly as much; the chosen effect is simpler, likelier or explains more"
+_NO_REASON = "the chosen effect explains more, or is simpler or likelier"
 _EXPLAINED = "Percentage of the squared residual that the effect removes on data not used for fitting"
 _MAX_ROWS = 8  # of a parameter that is a table
 

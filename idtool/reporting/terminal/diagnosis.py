@@ -17,6 +17,7 @@ from idtool.reporting.sections.diagnosis import (
 from idtool.reporting.terminal.base import STYLE, Terminal
 
 _STYLES = {"explained": "bold green", "no_disagreement": "bold green", "unexplained": STYLE["problem"]}
+_MODEL_FILES = ("identified.urdf", "model.yaml")
 
 
 def show_diagnosis(
@@ -54,6 +55,9 @@ def show_diagnosis(
         terminal.say(f"next: {text}")
     terminal.notices(report.further_notices)
     terminal.say(f"written: {folder}/{', '.join(files)}")
+    older = [name for name in _MODEL_FILES if name not in files and (folder / name).exists()]
+    if older:
+        terminal.say(f"warning: not of this run, but of an earlier one: {', '.join(older)}", STYLE["warning"])
 
 
 def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
