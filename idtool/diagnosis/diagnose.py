@@ -115,7 +115,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     before = errors_of_fit(first)
     simulate = first.simulation is not None  # without that of the first model, there is nothing to compare with
     if not options.assumed:
-        order = partial(order_effects, search, before.torque["overall"])
+        order = partial(order_effects, search, before.torque)
         stages.run("the order of the steps", order, None, is_short=True)
 
     last = _fit_with_effects(search, first)
@@ -300,7 +300,8 @@ def _step(
 
 def _fit_with_first_effects(search: EffectSearch, count: int) -> tuple[LinearizedFit | Fit, ErrorSummary]:
     """Fit with the first effects found, and its errors."""
-    experiment = with_effects(search.current.experiment, search.model.entries(count), search.current.theta)
+    entries = search.model.entries(search.reported[:count])
+    experiment = with_effects(search.current.experiment, entries, search.current.theta)
     fitted = linearize_fit(experiment, search.progress)
     return fitted, evaluate_errors(fitted.experiment, fitted.estimate.theta, False, search.progress)
 
