@@ -6,9 +6,9 @@ import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from idtool.common.number_text import number
 from idtool.diagnosis.comparison import COMMAND_DELAY
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
-from idtool.reporting.number_text import number
 from idtool.reporting.results.base import ByJointOrNone
 from idtool.reporting.results.diagnosis import (
     AgainstReport,

@@ -23,7 +23,8 @@ from typing import Any, NamedTuple
 import jinja2
 from plotly.offline import get_plotlyjs
 
-from idtool.reporting.number_text import metres, number, percent, with_error
+from idtool.common.number_text import number, with_error
+from idtool.reporting.number_text import metres, percent
 from idtool.reporting.pages.embedding import EmbeddedFigures
 from idtool.reporting.plots.figure import Figure
 from idtool.reporting.sections.base import Section

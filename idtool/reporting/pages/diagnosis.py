@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from idtool.common.number_text import number
 from idtool.diagnosis.records import Diagnosis
 from idtool.estimation.evaluation.envelope import Trace
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
@@ -18,7 +19,7 @@ from idtool.reporting.diagnosis_text import (
     worse_motion,
     worse_motion_sentence,
 )
-from idtool.reporting.number_text import number, rows_by_unit
+from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.bodies import report_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot

@@ -11,8 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Literal, TypeVar
 
+from idtool.common.number_text import number, with_error
 from idtool.reporting.diagnosis_text import common_unit
-from idtool.reporting.number_text import number, percent, with_error
+from idtool.reporting.number_text import percent
 
 R_contra = TypeVar("R_contra", contravariant=True)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from typing_extensions import override
 
+from idtool.common.number_text import number, with_error
 from idtool.reporting.diagnosis_text import (
     UNKNOWN,
     common_unit,
@@ -16,7 +17,6 @@ from idtool.reporting.diagnosis_text import (
     position_units,
     worse_motion,
 )
-from idtool.reporting.number_text import number, with_error
 from idtool.reporting.results.base import ByJointOrNone
 from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, StepReport
 from idtool.reporting.sections.base import (
