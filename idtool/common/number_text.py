@@ -1,8 +1,11 @@
-"""Numbers as text."""
+"""Numbers and parameters as text."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
+
+_MAX_ROWS = 8  # of a parameter that is a table
 
 
 def number(x: float | None, digits: int = 3) -> str:
@@ -43,3 +46,43 @@ def range_text(low: float | None, high: float | None) -> str:
     decimals = max(1 - size, 0)
     low_text, high_text = (f"{round(x, decimals) + 0.0:.{decimals}f}" for x in (low, high))
     return f"{low_text} to {high_text}"
+
+
+def parameter_text(
+    name: str, value: Any, error: Any = None, unit: str | None = None, digits: int = 4, error_digits: int = 2
+) -> str:
+    """A parameter with its standard error and unit.
+
+    Parameters
+    ----------
+    name
+        Its name in a configuration.
+    value
+        A number, several of them, or the name of something; None: not known.
+    error
+        Standard error of the number, or of each of several; None: not known.
+    unit
+        Its unit; None or "1": none.
+    digits
+        Significant digits of a number without standard error.
+    error_digits
+        Significant digits of a standard error.
+    """
+    text = f"{name.replace('_', ' ')} {_value_text(value, error, digits, error_digits)}"
+    return text if unit in (None, "1") else f"{text} {unit}"
+
+
+def _value_text(value: Any, error: Any, digits: int, error_digits: int) -> str:
+    """A parameter's value; one of several numbers has them in brackets."""
+    if isinstance(value, list | tuple):
+        has_errors = isinstance(error, list | tuple) and len(error) == len(value)
+        errors = error if has_errors else [None] * len(value)
+        texts = [_value_text(x, e, digits, error_digits) for x, e in zip(value, errors, strict=True)]
+        if len(texts) > _MAX_ROWS:
+            return f"[{texts[0]}, …, {texts[-1]}] ({len(texts)} rows)"
+        return f"[{', '.join(texts)}]"
+    if isinstance(value, bool | str):
+        return str(value)
+    if value is None or error is None:
+        return number(value, digits)
+    return " ± ".join(with_error(value, error, error_digits))

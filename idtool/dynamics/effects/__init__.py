@@ -31,6 +31,7 @@ __all__ = [
     "build_effects",
     "config_parameters",
     "effect_from_entry",
+    "effect_name",
     "effect_types",
     "friction_types",
     "target_name",
@@ -86,6 +87,12 @@ def build_effects(model: RobotModel, config: Config) -> tuple[Effect, ...]:
         entry_keys.add(effect.key)
         effects[effect.key] = effect
     return (RigidBodies(model), *sorted(effects.values(), key=lambda effect: effect.order))
+
+
+def effect_name(effect: str) -> str:
+    """An effect's id in plain words."""
+    kind = effect_types().get(effect)
+    return (kind.label if kind else "") or effect.replace("_", " ")
 
 
 def target_name(effect: str, joint: str | None, link: str | None) -> str:

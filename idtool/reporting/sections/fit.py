@@ -236,8 +236,8 @@ class FrictionSection(Section[FitReport | DiagnosisReport]):
     @override
     def text(self, report: FitReport | DiagnosisReport) -> str:
         return (
-            "Torque = viscous · v + Coulomb · sign(v) + offset. ± se: one standard error; –: the data do not determine "
-            "the value. A value of – means that the term is not part of the model."
+            "Torque = viscous · v + Coulomb · sign(v) + offset. ± se: one standard error. – as a value: the term "
+            "is not part of the model; – as a standard error: the data do not determine the value."
         )
 
 
