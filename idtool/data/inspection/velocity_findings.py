@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from idtool.common.notice import Notice, Severity
+from idtool.common.number_text import with_error
 from idtool.data.inspection.records import InspectedJoint, Velocity
 from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import JointLog
@@ -84,8 +85,9 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
     phase = 2e-3 * np.pi * band * abs(v.lag_ms)
     if abs(v.lag_ms) > max(1e3 * MIN_LAG * dt, MIN_LAG_ERRORS * v.lag_error_ms) and phase > MIN_LAG_PHASE:
         relation = "lags" if v.lag_ms > 0 else "leads"
-        lag = f"v {relation} the derivative of q by {abs(v.lag_ms):.3g} ± {v.lag_error_ms:.1g} ms"
-        yield Notice("velocity_lag", "note", name, lag, "idtool corrects it")
+        lag = " ± ".join(with_error(abs(v.lag_ms), v.lag_error_ms, digits=1))
+        message = f"v {relation} the derivative of q by {lag} ms"
+        yield Notice("velocity_lag", "note", name, message, "idtool corrects it")
 
 
 def is_another_unit(gain: float) -> bool:
