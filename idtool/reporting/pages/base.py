@@ -79,7 +79,9 @@ def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str
         lstrip_blocks=True,
     )
     figures = EmbeddedFigures()
-    environment.filters.update(code=code, unbroken=unbroken, number=number, with_error=with_error, metres=metres, percent=percent)
+    environment.filters.update(
+        code=code, unbroken=unbroken, number=number, with_error=with_error, metres=metres, percent=percent
+    )
     environment.globals.update(embed=figures.add, embedded=figures.to_json)
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     page = environment.get_template("page.html")
