@@ -66,7 +66,7 @@ def test_an_effect_gives_way_to_one_that_explains_more(tmp_path: Path) -> None:
     right = [OFFSET, ("coulomb_friction", "j1")]
     assert owners(search) == entries_in_model(search) == right
     (sentence,) = search.removed
-    assert sentence.startswith("viscous_friction on j1 was replaced by coulomb_friction on j1")
+    assert sentence.startswith("Viscous friction on j1 was replaced by Coulomb friction on j1")
     search._replace_effects()
     assert owners(search) == right
     assert len(search.removed) == 1
@@ -80,7 +80,7 @@ def test_two_effects_give_way_to_one_that_explains_as_much(tmp_path: Path) -> No
     assert search._replace_two()
     assert owners(search) == entries_in_model(search) == [SPRING]
     assert [sentence.split(",")[0] for sentence in search.removed] == [
-        f"{effect} on j1 was replaced by parallel_spring on j1" for effect in ("torque_offset", "end_stop")
+        f"{effect} on j1 was replaced by parallel spring on j1" for effect in ("Torque offset", "End stop")
     ]
 
 
@@ -121,7 +121,7 @@ def with_rest(rest: float) -> Hidden:
 
 
 DRAG = ("quadratic_drag", "j2")
-UNPROVEN = "quadratic_drag on j2 was removed again: it explains less than a tenth of what another effect does"
+UNPROVEN = "Quadratic drag on j2 was removed again: it explains less than a tenth of what another effect does"
 
 
 @pytest.mark.parametrize("rest", [0.0, 0.4])
@@ -225,7 +225,7 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
     search = search_with(experiment, [("torque_offset", "j1"), OFFSET])
     order_effects(search, errors_of_fit(fit(experiment, silent)).torque)
     assert owners(search) == entries_in_model(search) == [OFFSET]
-    assert search.removed == ["torque_offset on j1 was removed again: it increases the error on the held-out data"]
+    assert search.removed == ["Torque offset on j1 was removed again: it increases the error on the held-out data"]
 
 
 @pytest.mark.parametrize(("log_change", "left"), [(-0.5, [SPRING]), (-0.02, []), (0.5, [])])

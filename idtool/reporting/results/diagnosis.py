@@ -160,7 +160,10 @@ class ResidualMap(Record):
     """A joint's residual against its state, for plots."""
 
     against: ByState = field("Centres of the bins of `position`, `velocity`, `torque`, `acceleration` and `time`.")
-    mean: ByState = field("Mean of the residual in each bin [N·m or N].")
+    mean: ByState = field(
+        "Mean of the residual in each bin [N·m or N]; without the samples at which the direction of friction is not "
+        "known, or the play of a backlash is open."
+    )
     rms: ByState = field("RMS of the residual in each bin.")
     frequency: Vector = field("Frequencies [Hz].")
     density: Vector = field("Amplitude density at each frequency.")

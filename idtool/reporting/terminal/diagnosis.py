@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from idtool.reporting.diagnosis_text import UNKNOWN, owner_name, worse_motion, worse_motion_sentence
+from idtool.reporting.diagnosis_text import (
+    UNKNOWN,
+    effect_name,
+    owner_name,
+    step_title,
+    worse_motion,
+    worse_motion_sentence,
+)
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
 from idtool.reporting.sections.against import ChangesSection, SimulatorGapSection
 from idtool.reporting.sections.diagnosis import (
@@ -74,12 +81,15 @@ def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
 def _show_step(terminal: Terminal, index: int, step: StepReport, report: DiagnosisReport) -> None:
     """Print a step as a sentence, and what speaks against it in colour."""
     evidence = step.evidence
-    terminal.say(f"{index}. {evidence.sentence}", STYLE["warning"] if step.effect == UNKNOWN else None)
+    terminal.say(
+        f"{index}. {step_title(step)}. {evidence.sentence}", STYLE["warning"] if step.effect == UNKNOWN else None
+    )
     if evidence.pair and step.alternatives:
         rival = step.alternatives[0]
+        name = effect_name(rival.effect)
         terminal.say(
-            f"   these data cannot distinguish it from {rival.effect} on {owner_name(rival)}: it explains "
-            f"{score_text(evidence.score, evidence.standard_error)} of the residual, and {rival.effect} explains "
+            f"   these data cannot distinguish it from {name} on {owner_name(rival)}: it explains "
+            f"{score_text(evidence.score, evidence.standard_error)} of the residual, and {name} explains "
             f"{score_text(rival.score, rival.standard_error)}",
             STYLE["warning"],
         )
