@@ -297,6 +297,7 @@ def _step(
         after=errors_after,
         sentence="",
         profile=profile,
+        is_assumed=effect.is_assumed,
     )
     return replace(step, sentence=step_sentence(step, experiment.model))
 

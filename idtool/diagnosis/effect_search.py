@@ -326,7 +326,9 @@ class EffectSearch:
         Reason why it was not added; empty if it was.
         """
         before = self.model.state()
-        self.added.append(AddedEffect(winner.trial.entries[-1], selection, fitted_record(winner, self.current)))
+        entry = winner.trial.entries[-1]
+        record = fitted_record(winner, self.current)
+        self.added.append(AddedEffect(entry, selection, record, is_assumed=is_assumed))
         failure = self.model.try_refit()
         if failure:
             self.model.restore(before)

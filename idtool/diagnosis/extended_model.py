@@ -40,12 +40,15 @@ class AddedEffect:
         The candidate as reported, with its score.
     errors
         Standard errors of its nonlinear parameters, by name.
+    is_assumed
+        True if the user gave it.
     """
 
     entry: EffectEntry
     selection: SelectionStep
     chosen: Candidate
     errors: dict[str, float] = field(default_factory=dict)
+    is_assumed: bool = False
 
 
 @dataclass(frozen=True)

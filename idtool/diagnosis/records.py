@@ -191,6 +191,8 @@ class DiagnosisStep:
         Its size on each log by itself, or on the two halves of the only one; empty if it could not be estimated there.
     profile
         Residual against what causes the effect, for drawing; None for ``unknown``.
+    is_assumed
+        True if the user gave the effect.
     """
 
     chosen: Candidate
@@ -209,6 +211,7 @@ class DiagnosisStep:
     doubt: str = ""
     parts: tuple[PartEstimate, ...] = ()
     profile: EffectProfile | None = None
+    is_assumed: bool = False
 
 
 @dataclass(frozen=True)

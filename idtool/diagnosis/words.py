@@ -38,7 +38,8 @@ def step_sentence(step: DiagnosisStep, model: RobotModel) -> str:
         error = step.standard_error.get(name)
         parameters.append(_parameter(name, value, error if isinstance(error, float) else None, units))
     where = "" if region in ("", "in the whole log") else f"The residual was concentrated {region}. "
-    return f"{description} ({', '.join(parameters)}). {where}{_improvement(step, model.units)}"
+    source = "Assumed, not found. " if step.is_assumed else ""
+    return f"{description} ({', '.join(parameters)}). {source}{where}{_improvement(step, model.units)}"
 
 
 def with_doubts(steps: Sequence[DiagnosisStep], model: RobotModel) -> list[DiagnosisStep]:

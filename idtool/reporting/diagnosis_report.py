@@ -176,6 +176,7 @@ def _step(step: DiagnosisStep, model: RobotModel) -> StepReport:
             simulation_before=plain_data(step.before.simulation),
             simulation_after=plain_data(step.after.simulation),
             rollout_worse=_worse_rollouts(step.before, step.after),
+            assumed=step.is_assumed,
             sentence=step.sentence,
             doubt=step.doubt,
             parts=tuple(PartReport(**asdict(part)) for part in step.parts),

@@ -101,8 +101,9 @@ def summary(report: DiagnosisReport) -> str:
         rest += f" The simulated motion gets worse with {_join_words(worse)}{_final_motion(report)}."
     lacking = _join_words([_effect_or_rival(step) for step in known_steps])
     effects = "this effect" if len(known_steps) == 1 else "these effects"
+    lacks = "may lack" if len(doubted) == len(known_steps) else "lacks"
     return (
-        f"The model lacks {lacking}. With {effects}, the {which} torque error goes "
+        f"The model {lacks} {lacking}. With {effects}, the {which} torque error goes "
         f"from {number(first)} to {number(last)} {unit} RMS. {capitalized(floor)}{closed}.{rest}"
     )
 
@@ -232,6 +233,8 @@ def next_steps(report: DiagnosisReport, folder: Path | None = None) -> list[str]
     if owners and not report.stopped:
         what = f"{_no_effect_explains(report)} the remaining residual on {_join_words(owners)}"
         steps.append(f"{capitalized(what)}: see {RESIDUAL_MAPS}.")
+    if owners and report.inertia == "fixed" and report.against is None:
+        steps.append("The inertia of the URDF was kept. If it may be wrong, diagnose with --inertia refit.")
     if report.against is not None and report.against.changes and not report.stopped:
         command = shlex.join(["idtool", "export", str(out), "--patch", "FILE"])
         steps.append(
@@ -263,6 +266,8 @@ def _effect_on_owner(effect: StepReport | CandidateReport | ChangeReport) -> str
 def _effect_or_rival(step: StepReport) -> str:
     """The effect of a step, with the alternative that the data cannot distinguish from it."""
     text = _effect_on_owner(step)
+    if step.evidence.assumed:
+        text += " (assumed)"
     if step.evidence.pair and step.alternatives:
         text += f" (or {_effect_on_owner(step.alternatives[0])})"
     return text

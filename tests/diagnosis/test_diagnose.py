@@ -215,6 +215,8 @@ def test_candidates_can_be_limited_assumed_and_only_reported(stribeck: CaseFiles
     report = diagnosed(stribeck, folder / "only", *options)
     assert {path.name for path in (folder / "only").iterdir()} == {"diagnosis.json", "diagnosis.html"}
     assert named(report)[0] == ("torque_offset", "elbow")
+    assert report["steps"][0]["evidence"]["assumed"]
+    assert "(assumed)" in report["summary"]
     assert set(named(report)[1:]) <= {("quadratic_drag", "shoulder"), ("unknown", "shoulder"), ("unknown", "elbow")}
 
 

@@ -292,6 +292,9 @@ def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
     assert _verdict(steps, is_floor_known=True, is_complete=True) == "partly_explained"
     report = report_of(replace(found, steps=tuple(steps[:1]), verdict="partly_explained"))
     assert report["steps"][0]["evidence"]["doubt"] == steps[0].doubt
+    assert report["summary"].startswith("The model may lack a payload on thigh_link")
+    certain_too = report_of(replace(found, steps=(steps[0], steps[2]), verdict="partly_explained"))
+    assert certain_too["summary"].startswith("The model lacks a payload on thigh_link")
     assert report["summary"].endswith(
         "% of the gap is closed. Doubtful: a payload on thigh_link; the notices give the reasons."
     )

@@ -122,6 +122,7 @@ class Evidence(Record):
     rollout_worse: tuple[str, ...] = field(
         "Joints whose simulation is worse although the torque of all joints together is predicted better."
     )
+    assumed: bool = field("Whether the user gave the effect with `--assume`; else it was found.")
     sentence: str = field("Description of the step.")
     doubt: str = field("Reason for doubt, such as a size that differs between logs; empty: none.")
     parts: tuple[PartReport, ...] = field(
