@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 _MAX_ROWS = 8  # of a parameter that is a table
+_NEGLIGIBLE = 1e-9  # of the largest number of a list: only rounding of the computation
 
 
 def number(x: float | None, digits: int = 3) -> str:
@@ -77,12 +78,16 @@ def _value_text(value: Any, error: Any, digits: int, error_digits: int) -> str:
     if isinstance(value, list | tuple):
         has_errors = isinstance(error, list | tuple) and len(error) == len(value)
         errors = error if has_errors else [None] * len(value)
-        texts = [_value_text(x, e, digits, error_digits) for x, e in zip(value, errors, strict=True)]
+        negligible = _NEGLIGIBLE * max((abs(x) for x in value if isinstance(x, float)), default=0.0)
+        texts = []
+        for x, e in zip(value, errors, strict=True):
+            is_zero = isinstance(x, float) and e is None and abs(x) <= negligible
+            texts.append("0" if is_zero else _value_text(x, e, digits, error_digits))
         if len(texts) > _MAX_ROWS:
             return f"[{texts[0]}, …, {texts[-1]}] ({len(texts)} rows)"
         return f"[{', '.join(texts)}]"
     if isinstance(value, bool | str):
         return str(value)
     if value is None or error is None:
-        return number(value, digits)
+        return "0" if value == 0 else number(value, digits)
     return " ± ".join(with_error(value, error, error_digits))

@@ -501,7 +501,7 @@ def test_a_sentence_has_units_and_no_ids(found: Diagnosis) -> None:
     )
     spring = EffectEntry(effect="parallel_spring", joint="hip", parameters={"stiffness": 0.0, "rest_position": -0.29})
     assert fitted_along_sentence(spring, found.last.experiment.model).startswith(
-        "a spring acts across the joint (stiffness 0.00 N·m/rad, rest position -0.290 rad); "
+        "a spring acts across the joint (stiffness 0 N·m/rad, rest position -0.290 rad); "
     )
     for candidates in ((step.chosen, candidate("presliding_hysteresis")),):
         motion = distinguishing_experiment(*candidates, found.last.experiment).partition("; or")[0]

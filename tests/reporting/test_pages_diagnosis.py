@@ -286,6 +286,7 @@ def test_the_worst_joint_is_the_one_that_is_open(found: Diagnosis) -> None:
         ({"windows": [[1.0, 2.0], [3.0, 4.0]]}, {}, "windows [[1.000, 2.000], [3.000, 4.000]] m"),
         ({"source": "knee"}, {"source": None}, "source knee"),
         ({"gain": None}, {}, "gain –"),
+        ({"inertia": [7.17e-4, 0.0, 4.3e-19]}, {}, "inertia [0.0007170, 0, 0] m"),
     ],
 )
 def test_parameters_in_words(values: dict[str, Any], errors: dict[str, Any], text: str) -> None:

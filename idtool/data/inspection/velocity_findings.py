@@ -86,7 +86,7 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
     phase = 2e-3 * np.pi * band * abs(v.lag_ms)
     if abs(v.lag_ms) > max(1e3 * MIN_LAG * dt, MIN_LAG_ERRORS * v.lag_error_ms) and phase > MIN_LAG_PHASE:
         relation = "lags" if v.lag_ms > 0 else "leads"
-        lag = number(abs(v.lag_ms))
+        lag = number(float(f"{abs(v.lag_ms):.3g}"))  # 1.00 rather than 1.000 for 0.9999
         if v.lag_error_ms > _MIN_SHOWN_ERROR * abs(v.lag_ms):
             lag = " ± ".join(with_error(abs(v.lag_ms), v.lag_error_ms, digits=1))
         message = f"v {relation} the derivative of q by {lag} ms"
