@@ -59,6 +59,7 @@ _REFINEMENTS = 2  # times, since the best value of a parameter depends on that o
 _REFINEMENT_POINTS = 7  # values that are screened again between the neighbours of a value in the grid
 _MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, those that are then rejected included
 _MIN_GAIN_RATIO = 0.4  # to the gain of the best accepted candidate, for a candidate to be fitted
+_MIN_FIRST_ORDER_GAIN_RATIO = 0.2  # likewise, where a fit may explain much more than the screening
 _MAX_GAUSS_NEWTON_STEPS = 5  # of the fit of a candidate for which one step is not enough
 _MAX_HELD_OUT_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
 _MAX_LOSS_SHARE = 0.2  # of its gains in some blocks, that an effect may lose in others
@@ -191,8 +192,8 @@ def _fit_best_candidates(
 
     best_gain = 0.0
     for candidate in _by_gain(significant)[:_MAX_FULL_FITS]:
-        if candidate.gain < _MIN_GAIN_RATIO * best_gain:
-            break
+        if candidate.gain < _min_gain_ratio(candidate) * best_gain:
+            continue
         try:
             fitted, objection = _fit_and_judge(candidate, base, initial, summary, progress)
         except FAILURES as failure:
@@ -205,6 +206,12 @@ def _fit_best_candidates(
             best_gain = max(best_gain, candidate.gain)
     finalists.sort(key=lambda finalist: -finalist.gain)
     return FullFits(finalists, rejected, failed)
+
+
+def _min_gain_ratio(candidate: ScreenedProbe) -> float:
+    """Least ratio of a candidate's gain to that of the best accepted one, for it to be fitted."""
+    is_first_order = effect_types()[candidate.probe.effect].is_screened_to_first_order
+    return _MIN_FIRST_ORDER_GAIN_RATIO if is_first_order else _MIN_GAIN_RATIO
 
 
 def _without_cancelled_noise(candidate: ScreenedProbe, base: LinearizedFit) -> ScreenedProbe:

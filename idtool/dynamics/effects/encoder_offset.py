@@ -24,6 +24,7 @@ class EncoderOffset(FixedJointEffect):
 
     id = "encoder_offset"
     is_countable = True
+    is_screened_to_first_order = True
     description = "the zero position of the encoder differs from that of the joint"
     cause = "position"
     excitation_hint = (

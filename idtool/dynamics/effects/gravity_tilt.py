@@ -40,6 +40,7 @@ class GravityTilt(FixedEffect):
     description = "the base is not level"
     excitation_hint = "standstill in many postures of the first joints"
     cause = "position"
+    is_screened_to_first_order = True
 
     def __init__(self, model: RobotModel, gravity: Array) -> None:
         super().__init__(model)

@@ -98,6 +98,8 @@ class NamedEffect(Effect):
     is_undefined_where_it_acts
         True if its columns are undefined at the very samples that show it, as while the teeth of a backlash are apart.
         It is then judged by the samples at which the model without it is defined.
+    is_screened_to_first_order
+        True if a candidate's torque is taken to first order in its parameter, so that its fit may explain much more.
     reportable
         True if `diagnose` may name it; else it is only included in the fit, so that it does not hide other effects.
     acts_in_bursts
@@ -131,6 +133,7 @@ class NamedEffect(Effect):
     is_friction: bool = False
     acts_at_reversals: bool = False
     is_undefined_where_it_acts: bool = False
+    is_screened_to_first_order: bool = False
     reportable: bool = True
     acts_in_bursts: bool = False
     may_act_on_all_joints: bool = False
