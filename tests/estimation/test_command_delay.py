@@ -218,7 +218,7 @@ def test_without_a_fit_a_delay_of_auto_is_none_and_said(tmp_path: Path) -> None:
     model = idtool.Model(URDF, tmp_path / "leg.yaml")
     result = idtool.validate(model, logged, simulation=False)
     assert any(
-        note.startswith("controller.delay: the delay is auto, but this command does not fit it")
+        note.startswith("controller.delay: the delay is not known, so 0 is used")
         for note in result.warnings
     )
     identified = idtool.fit(model, logged, quick=True).model
