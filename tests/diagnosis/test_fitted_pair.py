@@ -116,6 +116,27 @@ def test_a_left_out_share_is_no_difference(tmp_path: Path) -> None:
         assert change.reason == "differs by less than 3 standard errors"
 
 
+def test_a_value_that_was_not_fitted_to_the_logs_of_one_side_is_not_its_own(tmp_path: Path) -> None:
+    """A friction that only the robot has: the simulator's logs say how large it is there, not at which velocity."""
+    velocity = {"value": 0.3, "standard_error": 0.01}
+    stribeck = {"effect": "stribeck_friction", "joint": "j1", "parameters": {"stribeck": 1.0, "velocity": velocity}}
+    with_friction = torque_on_joint(0, lambda t, q, v, tau: np.exp(-np.square(v / 0.3)) * np.tanh(v / 0.01))
+    simulator = fitted(tmp_path / "simulator")
+    robot = fitted(tmp_path / "robot", stribeck, hidden=with_friction)
+    for pair, own, other in (
+        (FittedPair(simulator, robot, silent), "robot", "simulator"),
+        (FittedPair(robot, simulator, silent), "simulator", "robot"),
+    ):
+        changes, changed = _changes(pair)
+        (change,) = [change for change in changes if change.effect == "stribeck_friction"]
+        assert change.reason == ""
+        quantity = change.quantities["velocity"]
+        assert (getattr(quantity, own), getattr(quantity, f"{own}_error")) == (0.3, 0.01)
+        assert (getattr(quantity, other), getattr(quantity, f"{other}_error")) == (None, None)
+        np.testing.assert_allclose(getattr(change.quantities["stribeck"], other), 0.0, atol=0.05)
+        assert pair.gap_level(changed, simulate=False).torque["j1"] < 0.1
+
+
 def test_bodies_that_the_configuration_changes_are_those_of_the_simulator(tmp_path: Path) -> None:
     tilt = {"effect": "gravity_tilt", "parameters": {"gravity": [0.0, 0.0, -9.81]}}
     experiment = experiment_of(tmp_path, nothing, effects=[tilt])

@@ -286,9 +286,11 @@ def test_names_elsewhere_in_the_file_are_not_joints(tmp_path: Path) -> None:
 
 def test_what_has_no_place_is_listed_with_both_values(tmp_path: Path) -> None:
     stribeck = change("stribeck_friction", JOINTS[0], stribeck=(None, 0.5), velocity=(None, 0.1))
+    slow = change("stribeck_friction", "elbow", stribeck=(0.001, 0.5), velocity=(None, 0.1))  # not fitted there
     delay = change("command_delay", None, delay=(0.001, 0.006))
-    result = export(tmp_path, MJCF, [stribeck, delay])
+    result = export(tmp_path, MJCF, [stribeck, slow, delay])
     assert result.text.decode() == MJCF
-    assert [part.of for part in result.not_carried] == ["yaw", "the controller"]
+    assert [part.of for part in result.not_carried] == ["yaw", "elbow", "the controller"]
     assert "stribeck none → 0.5000, velocity none → 0.1000" in result.not_carried[0].detail
-    assert "delay 0.001000 → 0.006000" in result.not_carried[1].detail
+    assert "stribeck 0.001000 → 0.5000, velocity 0.1000;" in result.not_carried[1].detail
+    assert "delay 0.001000 → 0.006000" in result.not_carried[2].detail

@@ -178,9 +178,9 @@ class ResidualMaps(Record):
 class ComparedParameter(Record):
     """A parameter in the simulator and on the robot."""
 
-    simulator: Any = field("Value in the simulator; null: the simulator has no such effect.")
+    simulator: Any = field("Value in the simulator; null: the simulator has no such effect, or its logs do not show the value.")
     simulator_standard_error: Any = field("Its standard error; null: not known.")
-    robot: Any = field("Value on the robot; null: the robot has no such effect.")
+    robot: Any = field("Value on the robot; null: the robot has no such effect, or its logs do not show the value.")
     robot_standard_error: Any = field("Its standard error; null: not known.")
     unit: str | None = field("Unit; null: none.")
 
