@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.exceptions import LogError
 from idtool.common.notice import Notice
 from idtool.data.pairing import LogPair, align
 from idtool.diagnosis.diagnose import Options, diagnose
@@ -152,6 +153,11 @@ def compare(measured: Experiment, simulated: Experiment, options: Options, progr
     joints = measured.equation.joints
     runs = zip(measured.runs, simulated.runs, strict=False)  # logs for validation alone have no partner
     log_pairs = [align(run.signals.log, other.signals.log, joints) for run, other in runs]
+    units = measured.model.units
+    for log_pair in log_pairs:
+        if log_pair.is_unrelated:
+            what = f"does not show the motion of the robot's log {log_pair.measured}: {_difference(log_pair, units)}"
+            raise LogError(log_pair.simulated, f"{what}; play the same commands in the simulator, under a controller")
 
     simulator_options = replace(options, inertia="fixed", assumed=(), simulate=False)
     simulator = diagnose(simulated, simulator_options, _prefixed(progress, "simulator"))
@@ -168,7 +174,7 @@ def compare(measured: Experiment, simulated: Experiment, options: Options, progr
         unchanged=tuple(change for change in changes if change.reason),
         before=pair.gap_level((), options.simulate),
         after=pair.gap_level(changed_keys, options.simulate),
-        notices=(*_pair_notices(log_pairs), *_simulator_notices(simulator)),
+        notices=(*_pair_notices(log_pairs, units), *_simulator_notices(simulator)),
     )
 
 
@@ -344,14 +350,20 @@ def _mass_properties(pi: Array) -> dict[str, Any]:
     return {"mass": float(mass), "com": com.tolist(), "inertia_com": symmetric_entries(inertia).tolist()}
 
 
-def _pair_notices(pairs: Sequence[LogPair]) -> Iterator[Notice]:
+def _difference(pair: LogPair, units: Mapping[str, str]) -> str:
+    """Difference of the positions in two logs, as a clause; by the unit of each joint's torque."""
+    position_units = dict.fromkeys("m" if unit == "N" else "rad" for unit in units.values())
+    unit = " or ".join(position_units)
+    difference = f"the positions differ by {pair.position['overall']:.3g} {unit} RMS"
+    return f"{difference}, and the robot moves by {pair.motion['overall']:.3g} {unit} RMS"
+
+
+def _pair_notices(pairs: Sequence[LogPair], units: Mapping[str, str]) -> Iterator[Notice]:
     """Notices about pairs of logs that can hardly be of the same commands."""
     for pair in pairs:
         if not pair.moves_alike:
-            names = f"{pair.measured.name} and {pair.simulated.name}"
-            difference = f"their positions differ by {pair.position['overall']:.3g} RMS"
-            motion = f"the robot moves by {pair.motion['overall']:.3g} RMS"
-            message = f"{names} do not show the same motion: {difference}, while {motion}"
+            names = f"{pair.measured} and {pair.simulated}"
+            message = f"{names} do not show the same motion: {_difference(pair, units)}"
             yield Notice("pair_differs", "warning", None, message, "play the same commands in the simulator")
 
 
