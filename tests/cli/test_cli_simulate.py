@@ -223,9 +223,7 @@ def test_jumps_and_a_motion_that_runs_away_are_named(short: Path, config: Path, 
         codes[options[:1]] = [notice["code"] for notice in result["notices"]]
     assert codes == {(): ["simulation_restarted"], ("--window",): [], ("--track",): []}
     (tmp_path / "free.yaml").write_text("friction: {viscous: false, coulomb: false}\n")
-    result = simulated(
-        LEG, short, "--config", "free.yaml", "--window", "0", "--out", "out.csv", folder=tmp_path
-    )
+    result = simulated(LEG, short, "--config", "free.yaml", "--window", "0", "--out", "out.csv", folder=tmp_path)
     (notice,) = [notice for notice in result["notices"] if notice["code"] == "simulation_ran_away"]
     assert re.search(r"differs by \d[\d.e+]* rad RMS, and the joints move by 0\.\d+ rad RMS", notice["message"])
     assert "use --closed-loop, --track or a short --window" in notice["advice"]

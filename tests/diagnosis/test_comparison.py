@@ -83,6 +83,7 @@ def test_the_largest_change_comes_first_and_the_gap_closes(report: dict[str, Any
     assert log["torque_rms"]["overall"] > 0.5
     assert "the simulator's torque error on the robot's logs goes from" in against["summary"]
     assert against["simulator_effects"] == []
+    assert (against["inconclusive"], against["advice"]) == ("", "")
 
 
 def test_the_page_shows_the_changes(pair: Path) -> None:
@@ -149,7 +150,7 @@ def test_a_robot_that_is_the_simulator_needs_no_change(pair: Path) -> None:
     again = Machine(MJCF, noise=0.02).play(12.0, seed=1)
     write_log(pair / "same.csv", again)
     found = diagnosed(pair, "same.csv", "--against", "simulator/run1.csv", "--out", "same", *EFFECTS)["against"]
-    assert found["changes"] == []
+    assert (found["changes"], found["inconclusive"]) == ([], "")
     assert found["summary"].startswith("No change to make in the simulator was found")
     done = idtool("export", "same", "--patch", "scene.xml", "--out", "same.xml", folder=pair)
     assert done.out.startswith("nothing to change in the file\n")
@@ -231,6 +232,24 @@ def test_logs_of_different_motions_are_refused_before_any_search(
         naming = "simulator/run1.csv: does not show the motion of the robot's log robot/run1.csv: the positions differ"
         refuse(tmp_path, *arguments, naming=naming)
         shutil.rmtree(tmp_path / "out")
+
+
+def test_a_log_with_jumps_makes_the_comparison_inconclusive(pair: Path) -> None:
+    """As that of a simulation that restarts from the measured state every 2 s."""
+    table = pair / "simulator" / "run1.csv"
+    rows = np.loadtxt(table, delimiter=",", skiprows=1)
+    rows[:, 1:4] += 0.05 * (rows[:, :1] % 2)
+    write_log(pair / "jumps.csv", rows)
+    found = diagnosed(pair, "robot/run1.csv", "--against", "jumps.csv", "--out", "jumps", *EFFECTS)
+    against = found["against"]
+    assert found["verdict"] == "partly_explained"
+    assert "have jumps, as after restarts (5 jumps of q on yaw, " in against["inconclusive"]
+    assert against["summary"].startswith(f"The comparison is not conclusive: {against['inconclusive']}. ")
+    assert found["next"][0] == against["advice"]
+    assert "use --closed-loop, --track or --window 0" in against["advice"]
+    assert not any(text.startswith(("Make the changes", "Check the final model")) for text in found["next"])
+    page = (pair / "jumps" / "diagnosis.html").read_text()
+    assert '<li class="note"><b>Against the simulator.</b> The comparison is not conclusive' in page
 
 
 def test_logs_of_motions_that_are_hardly_alike_are_named() -> None:

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from disturbed import URDF, experiment_of, nothing, silent, torque_on_joint
 from numpy.typing import NDArray
 
-from idtool.diagnosis.comparison import _changes, _simulator_notices
+from idtool.common.notice import Notice
+from idtool.diagnosis.comparison import (
+    _changes,
+    _simulator_notices,
+    _unexplained_gap,
+    _unexplained_notices,
+    _unexplained_simulator,
+)
 from idtool.diagnosis.diagnose import Options, diagnose
-from idtool.diagnosis.fitted_pair import FittedPair, FittedTerm, numbered_terms
+from idtool.diagnosis.fitted_pair import FittedPair, FittedTerm, GapLevel, numbered_terms
+from idtool.diagnosis.records import Diagnosis, ErrorSummary
 from idtool.dynamics.effects import effect_from_entry
 from idtool.estimation.fit import Fit, fit
 from idtool.robot.config import EffectEntry, parse_config
@@ -137,10 +147,46 @@ def test_a_value_that_was_not_fitted_to_the_logs_of_one_side_is_not_its_own(tmp_
         assert pair.gap_level(changed, simulate=False).torque["j1"] < 0.1
 
 
-def test_bodies_that_the_configuration_changes_are_those_of_the_simulator(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def simulator(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    """Diagnosis of a simulator of the arm, with a tilt of the configuration."""
     tilt = {"effect": "gravity_tilt", "parameters": {"gravity": [0.0, 0.0, -9.81]}}
-    experiment = experiment_of(tmp_path, nothing, effects=[tilt])
+    experiment = experiment_of(tmp_path_factory.mktemp("simulator"), nothing, effects=[tilt])
     options = Options(inertia="fixed", effects=("payload",), simulate=False)
-    simulator = diagnose(experiment, options, silent)
+    return diagnose(experiment, options, silent)
+
+
+def test_bodies_that_the_configuration_changes_are_those_of_the_simulator(simulator: Diagnosis) -> None:
     assert simulator.steps == ()
     assert list(_simulator_notices(simulator)) == []
+    assert list(_unexplained_notices(simulator)) == []
+    assert _unexplained_simulator(simulator) is None
+
+
+def test_faults_of_the_simulator_are_not_corrected_in_the_configuration(simulator: Diagnosis) -> None:
+    fault = Notice("wrong_unit", "problem", "j1", "q is in degrees", "set its `log.scale` to 0.0174533")
+    (notice,) = _simulator_notices(replace(simulator, faults=(fault,)))
+    assert (notice.subject, notice.message) == ("simulator, j1", "q is in degrees")
+    assert "`log.scale` applies to the robot's logs only" in notice.advice
+
+
+def test_a_comparison_is_not_conclusive_if_the_simulator_is_not_explained_by_its_model(simulator: Diagnosis) -> None:
+    for error, noise, is_explained in ((0.01, 0.01, True), (3.0, 2.0, True), (3.0, 0.01, False), (99.0, 98.0, False)):
+        errors = ErrorSummary({"j1": error, "j2": 0.01, "overall": error}, None, None)
+        unlike = replace(simulator, after=errors, floor={"j1": noise, "j2": 0.01, "overall": noise})
+        obstacle = _unexplained_simulator(unlike)
+        assert (obstacle is None) == is_explained
+        if obstacle is not None:
+            assert obstacle.reason == "the simulator's own logs are not explained on j1"
+            (notice,) = _unexplained_notices(unlike)
+            assert f"the error is {error:g} N·m RMS, the torque " in notice.message
+
+
+def test_no_change_is_no_agreement_if_the_error_is_far_above_the_noise_floor(simulator: Diagnosis) -> None:
+    floor = simulator.floor
+    near = GapLevel({name: 1.2 * noise for name, noise in floor.items()}, None)
+    far = GapLevel({name: 20 * noise for name, noise in floor.items()}, None)
+    assert _unexplained_gap(near, simulator) is None
+    obstacle = _unexplained_gap(far, simulator)
+    assert obstacle is not None
+    assert obstacle.reason == "the simulator's error is far above the noise floor, and no difference explains it"

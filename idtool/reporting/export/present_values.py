@@ -49,7 +49,7 @@ def is_turned(element: Element) -> bool:
 
 
 def default_attributes(root: Element, tag: str) -> dict[str, Mapping[str, str]]:
-    """Attributes that an MJCF gives the elements of a tag, by default class; "" is the class of those that name none."""
+    """Attributes that an MJCF gives the elements of a tag, by default class; "": to those that name no class."""
     attributes: dict[str, Mapping[str, str]] = {}
     main: Mapping[str, str] = {}
     for section in root.with_tag("default"):
