@@ -22,7 +22,7 @@ from idtool.data.same_recording import is_same_recording
 from idtool.diagnosis.records import Diagnosis
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.reporting.diagnosis_report import diagnosis_report
-from idtool.reporting.diagnosis_text import next_steps, owner_name
+from idtool.reporting.diagnosis_text import next_steps, step_title
 from idtool.reporting.fit_report import model_config
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.diagnosis import DiagnosisReport
@@ -96,7 +96,7 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
             rows.append([name, *errors, gap_closed])
         lines = [f"DiagnosisResult: {self.summary}"]
         for i, step in enumerate(self.steps, 1):
-            lines.append(f"  {i}. {step.effect} on {owner_name(step)}")
+            lines.append(f"  {i}. {step_title(step)}")
         if self.against is not None:
             lines.insert(1, f"  {self.against.summary}")
         lines += table_lines(["torque RMS", "before", "after", "noise floor", "gap closed"], rows)

@@ -56,6 +56,8 @@ def _check_effect(option: str, effect: str, text: str) -> str:
     names = [id for id, kind in effect_types().items() if kind.reportable]
     if effect in names:
         return effect
+    if effect in effect_types():
+        raise ConfigError(option, f"{effect} is always included in the fit; it is not an answer, so leave it out")
     name = printable(effect) or "an empty name"
     advice = _intended(option, text, names) + _possible(effect, names)
     raise ConfigError(option, f"{name} is not an effect; {advice}")
@@ -105,10 +107,11 @@ def check_assumptions(assumptions: Sequence[EffectAssumption], model: RobotModel
     """
     for effect, owner in assumptions:
         kind = effect_types()[effect]
-        if not issubclass(kind, LinkEffect | JointEffect):
-            if owner is not None:
-                raise ConfigError(option, f"{effect} acts on the whole robot; give {effect} without a name")
+        is_of_whole_robot = kind.may_act_on_all_joints or not issubclass(kind, LinkEffect | JointEffect)
+        if owner is None and is_of_whole_robot:
             continue
+        if is_of_whole_robot and not kind.may_act_on_all_joints:
+            raise ConfigError(option, f"{effect} acts on the whole robot; give {effect} without a name")
         names: Collection[str] = model.names
         what = "joint"
         if issubclass(kind, LinkEffect):

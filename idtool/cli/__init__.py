@@ -69,7 +69,12 @@ def _usage_message(error: TyperException) -> str:
     """A mistake in the command's words as one line."""
     if getattr(error, "option_name", None) == "--decide":
         return f"--decide: {excite.NEEDS_TWO}"
-    text = " ".join(error.format_message().split()).rstrip(".")
+    similar = getattr(error, "possibilities", None)
+    if similar:  # which typer puts after the message in its own words
+        text = f"{error.message.rstrip('.')}; did you mean {' or '.join(sorted(similar))}?"
+    else:
+        text = " ".join(error.format_message().split()).rstrip(".")
     context = getattr(error, "ctx", None)
     command = context.command_path if context else "idtool"
-    return f"command: {text[:1].lower()}{text[1:]}; try {command} --help"
+    advice = f" Try {command} --help" if text.endswith("?") else f"; try {command} --help"
+    return f"command: {text[:1].lower()}{text[1:]}{advice}"

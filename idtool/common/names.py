@@ -24,6 +24,11 @@ def join_names(names: Collection[str], most: int = _MAX_LISTED) -> str:
     return f"{few} and {more} more" if more > 0 else few
 
 
+def capitalized(sentence: str) -> str:
+    """A sentence with a capital letter; `str.capitalize` would take them from units."""
+    return sentence[:1].upper() + sentence[1:]
+
+
 def count_text(number: int, noun: str) -> str:
     """A number with its noun, in the plural but for one."""
     return f"{number} {noun}" + ("" if number == 1 else "s")

@@ -6,11 +6,12 @@ motion of each part gives it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from idtool.common.number_text import with_error
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import PartEstimate
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, parameter_value
@@ -56,20 +57,31 @@ def estimate_on_parts(
     return estimates
 
 
-def contradiction(estimates: Sequence[PartEstimate]) -> str:
-    """Clause on two parts of the data that contradict each other about an effect's size; empty if all agree."""
+def contradiction(estimates: Sequence[PartEstimate], units: Mapping[str, str]) -> str:
+    """Clause on two parts of the data that contradict each other about an effect's size; empty if all agree.
+
+    Parameters
+    ----------
+    estimates
+        Size of the effect on each part.
+    units
+        Unit of each parameter.
+    """
     for i, first in enumerate(estimates):
         for second in estimates[:i]:
             if not _agree(first, second):
-                return f"its {first.parameter} is {_text(second)}, but {_text(first)}"
+                unit = units.get(first.parameter, "1")
+                name = first.parameter.replace("_", " ")
+                return f"its {name} is {_text(second, unit)}, but {_text(first, unit)}"
     return ""
 
 
-def _text(estimate: PartEstimate) -> str:
-    """Size with its standard error, and where it was estimated."""
+def _text(estimate: PartEstimate, unit: str) -> str:
+    """Size with its standard error and unit, and where it was estimated."""
     is_half = estimate.part.endswith("half")
     place = f"on the {estimate.part} of the log" if is_half else f"in {estimate.part}"
-    return f"{estimate.value:.3g} ± {estimate.standard_error:.2g} {place}"
+    size = " ± ".join(with_error(estimate.value, estimate.standard_error))
+    return f"{size} {place}" if unit == "1" else f"{size} {unit} {place}"
 
 
 def _agree(a: PartEstimate, b: PartEstimate) -> bool:

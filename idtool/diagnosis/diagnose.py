@@ -46,6 +46,7 @@ from idtool.diagnosis.unexplained import (
     structured_noise_floor,
 )
 from idtool.diagnosis.words import distinguishing_experiment, fitted_along_sentence, step_sentence, with_doubts
+from idtool.dynamics.effects import effect_from_entry, effect_name
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
@@ -115,7 +116,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     before = errors_of_fit(first)
     simulate = first.simulation is not None  # without that of the first model, there is nothing to compare with
     if not options.assumed:
-        order = partial(order_effects, search, before.torque["overall"])
+        order = partial(order_effects, search, before.torque)
         stages.run("the order of the steps", order, None, is_short=True)
 
     last = _fit_with_effects(search, first)
@@ -218,10 +219,12 @@ def _confirmed(
     parts = stages.run("the confirmation on parts of the data", estimate, unconfirmed)
     floor = dict(zip(search.current.experiment.equation.joints, remaining.floor.rms.tolist(), strict=True))
     floor["overall"] = float(np.sqrt(np.mean(np.square(remaining.floor.rms))))
+    model = search.current.experiment.model
     confirmed = []
     for step, estimates in zip(steps, parts, strict=True):
         with_parts = replace(step, parts=tuple(estimates))
-        doubt = step.doubt or doubt_about(with_parts, floor, remaining.errors.torque, faults)
+        units = effect_from_entry(step.entry, model).parameter_units() if step.entry is not None else {}
+        doubt = step.doubt or doubt_about(with_parts, units, floor, remaining.errors.torque, faults)
         confirmed.append(replace(with_parts, doubt=doubt))
     return confirmed
 
@@ -295,12 +298,13 @@ def _step(
         sentence="",
         profile=profile,
     )
-    return replace(step, sentence=step_sentence(step, experiment.model.units))
+    return replace(step, sentence=step_sentence(step, experiment.model))
 
 
 def _fit_with_first_effects(search: EffectSearch, count: int) -> tuple[LinearizedFit | Fit, ErrorSummary]:
     """Fit with the first effects found, and its errors."""
-    experiment = with_effects(search.current.experiment, search.model.entries(count), search.current.theta)
+    entries = search.model.entries(search.reported[:count])
+    experiment = with_effects(search.current.experiment, entries, search.current.theta)
     fitted = linearize_fit(experiment, search.progress)
     return fitted, evaluate_errors(fitted.experiment, fitted.estimate.theta, False, search.progress)
 
@@ -358,7 +362,7 @@ def _unknown_steps(
             after=errors,
             sentence="",
         )
-        steps.append(replace(step, sentence=step_sentence(step, last.experiment.model.units)))
+        steps.append(replace(step, sentence=step_sentence(step, last.experiment.model)))
     return steps
 
 
@@ -380,11 +384,16 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
     """Notices about the search."""
     for effect in search.added:
         if not is_reportable(effect.entry.effect):
-            yield Notice("effect_fitted_along", "note", effect.entry.joint, fitted_along_sentence(effect.entry))
+            yield Notice(
+                "effect_fitted_along",
+                "note",
+                effect.entry.joint,
+                fitted_along_sentence(effect.entry, search.current.experiment.model),
+            )
     added = {(effect.chosen.effect, effect.chosen.target) for effect in search.added}
     for (effect_id, target), reason in search.failed.items():
         if (effect_id, target) not in added:
-            yield Notice("effect_failed", "warning", None, f"{effect_id} on {target} {reason}")
+            yield Notice("effect_failed", "warning", None, f"{effect_name(effect_id)} on {target} {reason}")
     if search.stopped:
         yield _stopped_notice(search)
     if search.reversal_joints:

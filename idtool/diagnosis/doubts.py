@@ -8,10 +8,15 @@ from idtool.common.notice import Notice
 from idtool.diagnosis.confirmation import contradiction
 from idtool.diagnosis.effect_order import MAX_ERROR_RATIO
 from idtool.diagnosis.records import DiagnosisStep
+from idtool.dynamics.effects import effect_name
 
 
 def doubt_about(
-    step: DiagnosisStep, floor: Mapping[str, float], remaining: Mapping[str, float], faults: Iterable[Notice]
+    step: DiagnosisStep,
+    units: Mapping[str, str],
+    floor: Mapping[str, float],
+    remaining: Mapping[str, float],
+    faults: Iterable[Notice],
 ) -> str:
     """Reason to doubt the effect of a step, a plain sentence; empty if there is none.
 
@@ -19,6 +24,8 @@ def doubt_about(
     ----------
     step
         The step, with the size of its effect on parts of the data.
+    units
+        Unit of each parameter of its effect.
     floor, remaining
         Noise floor, and error with all effects, by joint and ``overall`` [N·m or N].
     faults
@@ -28,17 +35,16 @@ def doubt_about(
         if fault.severity == "problem":
             what = fault.code.replace("_", " ")
             where = f" on {fault.subject}" if fault.subject else ""
-            return f"{step.chosen.effect} on {step.chosen.target} may imitate a fault of the data: {what}{where}"
+            return f"{step.chosen.words} may imitate a fault of the data: {what}{where}"
 
-    clause = contradiction(step.parts)
+    clause = contradiction(step.parts, units)
     if clause:
-        subject = f"{step.chosen.effect} on {step.chosen.target}"
-        return f"{subject} is not the same everywhere in the data: {clause}; something else may be behind it"
+        return f"{step.chosen.words} is not the same everywhere in the data: {clause}; something else may be behind it"
 
     if step.after.torque["overall"] > MAX_ERROR_RATIO * step.before.torque["overall"]:
         where = "on the held-out data " if step.before.validation is not None else ""
         return (
-            f"{step.chosen.effect} on {step.chosen.target} increases the error {where}in this step; it lowers the "
+            f"{step.chosen.words} increases the error {where}in this step; it lowers the "
             "error only together with other effects, or away from reversals of the velocity, where the direction of "
             "friction is certain"
         )
@@ -51,6 +57,6 @@ def doubt_about(
     share = explained / (explained + unexplained)
     where = step.chosen.joint or "all joints"
     return (
-        f"{step.chosen.effect} explains {100 * share:.0f} % of the squared residual of {where} above the noise floor; "
-        "the rest remains unexplained, so something else may be behind both"
+        f"{effect_name(step.chosen.effect)} explains {100 * share:.0f} % of the squared residual of {where} above the "
+        "noise floor; the rest remains unexplained, so something else may be behind both"
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import evaluate_errors
@@ -10,13 +10,14 @@ from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.held_out_error import held_out_log_change
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.trial import with_effects
-from idtool.robot.config import EffectEntry
 
 MAX_ERROR_RATIO = 1.0005  # of the errors with an effect and without it, over all joints
 _MIN_EXCUSE = 0.1  # decrease of the logarithm of a joint's squared error where the direction of friction is known
 
+Errors = Mapping[str, float]  # rms torque errors by joint, and ``overall`` [N·m or N]
 
-def order_effects(search: EffectSearch, initial_error: float) -> None:
+
+def order_effects(search: EffectSearch, initial_errors: Errors) -> None:
     """Order the effects so that each lowers the held-out error when it is added to those before it.
 
     One that increases the error is moved to the end, since a right but small effect may do so as long as a larger one
@@ -32,15 +33,16 @@ def order_effects(search: EffectSearch, initial_error: float) -> None:
     ----------
     search
         The search that found them.
-    initial_error
-        Torque error of the model without effects, over all joints [N·m].
+    initial_errors
+        Torque errors of the model without effects.
     """
+    errors = StepErrors(search, initial_errors)
     has_held_out = search.current.experiment.has_held_out
     reason = "it increases the error on the held-out data" if has_held_out else "it increases the error"
     excused: list[AddedEffect] = []
     moves = 0
     while search.reported:
-        harmful = first_harmful(search, initial_error, excused)
+        harmful = first_harmful(search, errors, excused)
         if harmful is None:
             return
         may_move = moves < len(search.reported) ** 2
@@ -49,43 +51,80 @@ def order_effects(search: EffectSearch, initial_error: float) -> None:
             moves += 1
             continue
         if not may_move:
-            harmful = _most_harmful(search, excused)
+            harmful = _most_harmful(search, errors, excused)
             if harmful is None:
                 return
         if _helps_where_friction_is_known(search, harmful):
             excused.append(harmful)
             continue
         search.remove(harmful, reason)
+        errors = StepErrors(search, errors.initial)
         moves = 0
 
 
-def first_harmful(
-    search: EffectSearch, initial_error: float, excused: Collection[AddedEffect] = ()
-) -> AddedEffect | None:
-    """First effect that increases the error when it is added to those before it; None if there is none.
+class StepErrors:
+    """Torque errors of the model with some of the effects found, held out if anything is; each is computed once.
 
     Parameters
     ----------
-    search, initial_error
-        As in `order_effects`.
-    excused
-        Effects that may increase it.
+    search
+        The search that found the effects.
+    initial
+        Errors of the model without effects.
     """
-    error_before = initial_error
-    for k, effect in enumerate(search.reported):
-        error = _error_with(search, search.model.entries(k + 1))
-        if error > MAX_ERROR_RATIO * error_before and effect not in excused:
+
+    def __init__(self, search: EffectSearch, initial: Errors) -> None:
+        self._search = search
+        self.initial = initial
+        self._known: dict[frozenset[AddedEffect], Errors] = {frozenset(): initial}
+
+    def of(self, effects: Sequence[AddedEffect]) -> Errors:
+        """Errors of the model with these effects."""
+        key = frozenset(effects)
+        if key not in self._known:
+            self._known[key] = self._evaluate(effects)
+        return self._known[key]
+
+    def by_step(self, order: Sequence[AddedEffect]) -> Iterator[tuple[AddedEffect, Errors, Errors]]:
+        """Each effect with the errors before and after it is added to those before it."""
+        before = self.initial
+        for k, effect in enumerate(order):
+            after = self.of(order[: k + 1])
+            yield effect, before, after
+            before = after
+
+    def _evaluate(self, effects: Sequence[AddedEffect]) -> Errors:
+        fitted = _fit_with(self._search, effects)
+        return evaluate_errors(fitted.experiment, fitted.estimate.theta, False, self._search.progress).torque
+
+
+def first_harmful(
+    search: EffectSearch, errors: StepErrors, excused: Collection[AddedEffect] = ()
+) -> AddedEffect | None:
+    """First effect that increases the error over all joints when it is added to those before it; None: there is none.
+
+    Parameters
+    ----------
+    search
+        The search that found the effects.
+    errors
+        Errors with some of them.
+    excused
+        Effects that may increase the error.
+    """
+    for effect, before, after in errors.by_step(search.reported):
+        is_harmful = after["overall"] > MAX_ERROR_RATIO * before["overall"]
+        if is_harmful and effect not in excused:
             return effect
-        error_before = error
     return None
 
 
-def _most_harmful(search: EffectSearch, excused: Collection[AddedEffect]) -> AddedEffect | None:
+def _most_harmful(search: EffectSearch, errors: StepErrors, excused: Collection[AddedEffect]) -> AddedEffect | None:
     """Effect without which the error is least, all others being present; None if it is least with all."""
-    least_error = _error_with(search, _all_entries(search)) / MAX_ERROR_RATIO
+    least_error = errors.of(search.reported)["overall"] / MAX_ERROR_RATIO
     most_harmful = None
     for effect in search.reported:
-        error = _error_with(search, _entries_without(search, effect))
+        error = errors.of(_others(search, effect))["overall"]
         if error < least_error and effect not in excused:
             least_error = error
             most_harmful = effect
@@ -94,32 +133,18 @@ def _most_harmful(search: EffectSearch, excused: Collection[AddedEffect]) -> Add
 
 def _helps_where_friction_is_known(search: EffectSearch, effect: AddedEffect) -> bool:
     """True if an effect lowers the held-out error but for samples at rest and near reversals."""
-    without = _fit_with(search, _entries_without(search, effect))
-    with_all = _fit_with(search, _all_entries(search))
+    without = _fit_with(search, _others(search, effect))
+    with_all = _fit_with(search, search.reported)
     return held_out_log_change(without, with_all) < -_MIN_EXCUSE
 
 
-def _all_entries(search: EffectSearch) -> list[EffectEntry]:
-    """Entries of the model with all effects."""
-    return search.model.entries(len(search.reported))
+def _others(search: EffectSearch, effect: AddedEffect) -> list[AddedEffect]:
+    """All effects but one."""
+    return [other for other in search.reported if other is not effect]
 
 
-def _entries_without(search: EffectSearch, effect: AddedEffect) -> list[EffectEntry]:
-    """Entries of the model with all effects but one."""
-    entries = _all_entries(search)
-    first = len(entries) - len(search.reported)
-    del entries[first + search.reported.index(effect)]
-    return entries
-
-
-def _error_with(search: EffectSearch, entries: Sequence[EffectEntry]) -> float:
-    """Rms torque error of the model with some of the effects, held out if anything is, over all joints [N·m]."""
-    fitted = _fit_with(search, entries)
-    errors = evaluate_errors(fitted.experiment, fitted.estimate.theta, False, search.progress)
-    return errors.torque["overall"]
-
-
-def _fit_with(search: EffectSearch, entries: Sequence[EffectEntry]) -> LinearizedFit:
+def _fit_with(search: EffectSearch, effects: Sequence[AddedEffect]) -> LinearizedFit:
     """Fit of the model with some of the effects."""
+    entries = search.model.entries(effects)
     experiment = with_effects(search.current.experiment, entries, search.current.theta)
     return linearize_fit(experiment, search.progress)

@@ -38,7 +38,7 @@ from idtool.diagnosis.selection_round import (
 )
 from idtool.diagnosis.trial import FAILURES, failure_reason, with_effects
 from idtool.diagnosis.unproven import find_unproven
-from idtool.diagnosis.words import removal_sentence, replacement_sentence, unproven_sentence
+from idtool.diagnosis.words import removal_sentence, removal_with_reason, replacement_sentence, unproven_sentence
 from idtool.dynamics.effects import effect_types
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
@@ -235,7 +235,7 @@ class EffectSearch:
         except KeyboardInterrupt:
             self.model.restore(before)
             raise
-        self.removed.append(f"{effect.chosen.effect} on {effect.chosen.target} was removed again: {reason}")
+        self.removed.append(removal_with_reason(effect.chosen, reason))
 
     def move_to_end(self, effect: AddedEffect) -> None:
         """Report an effect after all others."""

@@ -125,13 +125,13 @@ class ExtendedModel:
             with suppress(*FAILURES):
                 self.current = linearize_fit(experiment, self._progress, reversal_margin=self.current.reversal_margin)
 
-    def entries(self, count: int) -> list[EffectEntry]:
-        """The configuration's effects and the first ``count`` reported ones, with errors of nonlinear parameters."""
-        return [*self._configured, *(_with_errors(effect) for effect in self.reported[:count])]
+    def entries(self, effects: Sequence[AddedEffect]) -> list[EffectEntry]:
+        """The configuration's effects and some of those added, with errors of nonlinear parameters."""
+        return [*self._configured, *(_with_errors(effect) for effect in effects)]
 
     def final_experiment(self) -> Experiment:
         """The experiment with all effects found."""
-        entries = self.entries(len(self.reported))
+        entries = self.entries(self.reported)
         return with_effects(self.current.experiment, entries, self.current.estimate.theta)
 
     def set_reversal_margin(self, margin: float) -> None:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
-from idtool.dynamics.effects import target_name
+from idtool.dynamics.effects import effect_name, target_name
 from idtool.dynamics.effects.named_effect import Cause
 from idtool.estimation.fit import Fit
 from idtool.robot.config import EffectEntry
@@ -87,6 +87,11 @@ class Candidate:
     def target(self) -> str:
         """Joint or link that it acts on, or what it acts on of the whole robot."""
         return target_name(self.effect, self.joint, self.link)
+
+    @property
+    def words(self) -> str:
+        """Effect and what it acts on, such as "Stribeck friction on elbow"."""
+        return f"{effect_name(self.effect)} on {self.target}"
 
     @property
     def significance(self) -> float:

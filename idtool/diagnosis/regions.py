@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.number_text import number, range_text
 from idtool.diagnosis.residual_series import ResidualSeries
 from idtool.diagnosis.spectra import angle_spectrum, power_density
 
@@ -23,8 +24,8 @@ _SECOND_BOUND = 0.1  # by which a region with two bounds must be better than one
 _PER_WINDOW = 0.05  # by which each window of time must be worth more than a bound
 _MIN_SECOND_SCORE = 0.35  # as `_MIN_SCORE`, of a second region within the first
 _MIN_PERIODS = 3.0  # of a ripple over the travel
-_UNTIL = "at the start of the log, up to {:.2g} s"
-_FROM = "at the end of the log, from {:.2g} s"
+_UNTIL = "at the start of the log, up to {} s"
+_FROM = "at the end of the log, from {} s"
 _LINE_WIDTH = 2  # points of a spectrum to each side that belong to a line
 
 
@@ -69,7 +70,7 @@ class JointResidual:
 
     @property
     def suffix(self) -> str:
-        """Words that name the joint after a bound; empty if it need not be named."""
+        """Words that name the joint; empty if it need not be named."""
         return f" of {self.names[self.joint]}" if self.name_joint else ""
 
 
@@ -132,19 +133,19 @@ def _state_regions(residual: JointResidual, among: Mask) -> Iterator[Region]:
     suffix = residual.suffix
     q_unit, v_unit, a_unit, tau_unit = _units(residual.is_prismatic[j])
     speed = np.abs(series.v[j])
-    slow, fast = f"below {{:.2g}} {v_unit}{suffix}", f"above {{:.2g}} {v_unit}{suffix}"
+    slow, fast = f"at speeds{suffix} below {{}} {v_unit}", f"at speeds{suffix} above {{}} {v_unit}"
     yield from _half_lines(residual, among, "speed", speed, slow, fast)
-    high_torque = f"at torques above {{:.2g}} {tau_unit}{suffix}"
+    high_torque = f"at torques{suffix} above {{}} {tau_unit}"
     yield from _half_lines(residual, among, "torque", np.abs(series.tau[j]), "", high_torque)
-    high_acceleration = f"at accelerations above {{:.2g}} {a_unit}{suffix}"
+    high_acceleration = f"at accelerations{suffix} above {{}} {a_unit}"
     yield from _half_lines(residual, among, "acceleration", np.abs(series.a[j]), "", high_acceleration)
-    after_reversals = f"in the first {{:.2g}} {q_unit} after reversals{suffix}"
+    after_reversals = f"in the first {{}} {q_unit} after reversals{suffix}"
     distance = distance_since_reversal(series, j, float(residual.velocity_deadband[j]))
     yield from _half_lines(residual, among, "reversal", distance, after_reversals, "")
-    yield from _position_regions(residual, among, f"{q_unit}{suffix}")
+    yield from _position_regions(residual, among, q_unit)
     for k, name in enumerate(residual.names):
         if k != j:
-            moves = f"while {name} moves faster than {{:.2g}} {_units(residual.is_prismatic[k])[1]}"
+            moves = f"while {name} moves faster than {{}} {_units(residual.is_prismatic[k])[1]}"
             yield from _half_lines(residual, among, f"speed of {name}", np.abs(series.v[k]), "", moves)
 
 
@@ -167,14 +168,16 @@ def _half_lines(residual: JointResidual, among: Mask, kind: str, x: Array, below
 def _position_regions(residual: JointResidual, among: Mask, unit: str) -> Iterator[Region]:
     """Regions of the position with one or two bounds."""
     q = residual.series.q[residual.joint]
-    yield from _half_lines(residual, among, "position", q, f"below {{:.2g}} {unit}", f"above {{:.2g}} {unit}")
+    start = f"at positions{residual.suffix}"
+    low, high = f"{start} below {{}} {unit}", f"{start} above {{}} {unit}"
+    yield from _half_lines(residual, among, "position", q, low, high)
     samples = _SortedSamples.of(q, residual, among)
     if samples is None:
         return
     between = _largest_rise(samples.excess)
-    yield from samples.region("position", f"between {{:.2g}} and {{:.2g}} {unit}", between)
+    yield from samples.region("position", f"{start} between {{}} and {{}} {unit}", between)
     outside = _largest_rise(-samples.excess)
-    yield from samples.region("position", f"below {{:.2g}} or above {{:.2g}} {unit}", outside, outside=True)
+    yield from samples.region("position", f"{start} below {{}} or above {{}} {unit}", outside, outside=True)
 
 
 def _largest_rise(x: Array) -> tuple[int, int]:
@@ -236,7 +239,8 @@ class _SortedSamples:
         high = bounds[-1] if last < len(self.x) else np.inf
         within = (self.values >= low) & (self.values <= high)
         score = min(score, 1.0) - _SECOND_BOUND * (len(inner) - 1)
-        yield Region(score, kind, words.format(*bounds), self.among & (within != outside))
+        words = words.format(*(number(bound, 2) for bound in bounds))
+        yield Region(score, kind, words, self.among & (within != outside))
 
 
 def _cumulative_share(x: Array, total: float) -> Array:
@@ -261,7 +265,10 @@ def _time_regions(residual: JointResidual, among: Mask, windows: Sequence[tuple[
 
 
 def _windows_text(windows: Sequence[tuple[float, float]]) -> str:
-    return "in one part of the log" if len(windows) == 1 else f"in {len(windows)} parts of the log"
+    if len(windows) == 1:
+        return f"from {range_text(*windows[0])} s"
+    total = sum(last - first for first, last in windows)
+    return f"in {len(windows)} time intervals, {number(total, 2)} s in total"
 
 
 def is_inside(t: Array, windows: Sequence[tuple[float, float]]) -> Mask:
@@ -292,7 +299,8 @@ def _frequency_region(residual: JointResidual, valid: Mask, total: float) -> Ite
         motion_share = max(motion_share, motion_power[line].sum() / max(motion_power.sum(), 1e-300))
     score = min(power[line].sum() * (f[1] - f[0]) / total, 1.0) - motion_share
     frequency = f[line] @ power[line] / power[line].sum()
-    yield Region(score, "frequency", f"at {frequency:.2g} Hz{residual.suffix}", valid)
+    where = f" on {residual.names[j]}" if residual.name_joint else ""
+    yield Region(score, "frequency", f"at {number(frequency, 2)} Hz{where}", valid)
 
 
 def _angle_region(residual: JointResidual, valid: Mask, total: float) -> Iterator[Region]:
@@ -306,9 +314,9 @@ def _angle_region(residual: JointResidual, valid: Mask, total: float) -> Iterato
     peak = int(np.argmax(np.where(is_ripple, amplitude, 0.0)))
     turn = "per 2π m" if residual.is_prismatic[j] else "per turn"
     score = min(amplitude[peak] ** 2 / 2 / total, 1.0)
-    number = f"{n[peak]:.3g}"
-    periods = "period" if number == "1" else "periods"
-    yield Region(score, "angle", f"at {number} {periods} {turn}{residual.suffix}", valid)
+    count = f"{n[peak]:.3g}"
+    periods = "period" if count == "1" else "periods"
+    yield Region(score, "angle", f"at {count} {periods} {turn}{residual.suffix}", valid)
 
 
 def distance_since_reversal(series: ResidualSeries, j: int, velocity_deadband: float) -> Array:

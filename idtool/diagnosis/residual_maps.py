@@ -19,7 +19,8 @@ _LOW_SPEED = 0.1  # quantile of the speed, below which bins of velocity have one
 def residual_maps(experiment: Experiment, theta: Array, progress: Progress) -> dict[str, ResidualProfile]:
     """Residual torque by joint, in the band, on training and held-out parts together.
 
-    Several logs follow each other in time. Samples at which the sign of a joint's friction is not known are left out.
+    Several logs follow each other in time. Samples at which the direction of a joint's friction is not known, or its
+    play is open, are left out.
 
     Parameters
     ----------

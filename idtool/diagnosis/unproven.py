@@ -17,6 +17,7 @@ from idtool.common.arrays import Array
 from idtool.diagnosis.confirmation import contradiction, estimate_on_parts
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.noise_floor import estimate_noise_floor
+from idtool.dynamics.effects import effect_from_entry
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import EffectEntry
 
@@ -76,7 +77,8 @@ def find_unproven(
             return UnprovenEffect(k, "it explains less than a tenth of what another effect does")
         if share < _MIN_EXPLAINED_IF_VARYING:
             (sizes,) = estimate_on_parts(current, [entries[k]], progress)
-            if difference := contradiction(sizes):
+            units = effect_from_entry(entries[k], current.experiment.model).parameter_units()
+            if difference := contradiction(sizes, units):
                 return UnprovenEffect(k, f"it is not the same everywhere in the data ({difference})")
     return None
 

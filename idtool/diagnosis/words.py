@@ -6,36 +6,39 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from idtool.common.names import capitalized
+from idtool.common.number_text import number, parameter_text
 from idtool.diagnosis.records import Candidate, DiagnosisStep
-from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects import effect_from_entry, effect_name, effect_types
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import RobotModel
 
 _MAX_PARAMETERS = 4  # in a sentence
-_MAX_ROWS = 8  # of a table in a sentence
 
 
-def step_sentence(step: DiagnosisStep, units: Mapping[str, str]) -> str:
-    """Summary of a step.
+def step_sentence(step: DiagnosisStep, model: RobotModel) -> str:
+    """Summary of a step, which does not repeat the names of the effect and of what it acts on.
 
     Parameters
     ----------
     step
         The step.
-    units
-        Unit of each joint's torque.
+    model
+        The robot.
     """
-    chosen = step.chosen
     region = step.location.region
     if step.entry is None:
         where = f" ({region})" if region else ""
-        return f"{chosen.target}: the residual has structure{where} that the model does not explain"
-    description = effect_types()[chosen.effect].description
-    shown = list(step.parameters.items())[:_MAX_PARAMETERS]
-    parameters = ", ".join(_parameter(name, value, step.standard_error.get(name)) for name, value in shown)
+        return f"The residual has structure{where} that the model does not explain"
+    description = capitalized(effect_types()[step.chosen.effect].description)
+    units = effect_from_entry(step.entry, model).parameter_units()
+    parameters = []
+    for name, value in list(step.parameters.items())[:_MAX_PARAMETERS]:
+        error = step.standard_error.get(name)
+        parameters.append(_parameter(name, value, error if isinstance(error, float) else None, units))
     where = "" if region in ("", "in the whole log") else f"The residual was concentrated {region}. "
-    return f"{chosen.target}: {description} ({chosen.effect}: {parameters}). {where}{_improvement(step, units)}"
+    return f"{description} ({', '.join(parameters)}). {where}{_improvement(step, model.units)}"
 
 
 def with_doubts(steps: Sequence[DiagnosisStep], model: RobotModel) -> list[DiagnosisStep]:
@@ -49,18 +52,9 @@ def with_doubts(steps: Sequence[DiagnosisStep], model: RobotModel) -> list[Diagn
     return [replace(step, doubt=doubts.get(step.chosen.effect) or step.doubt) for step in steps]
 
 
-def _parameter(name: str, value: object, error: object) -> str:
-    if isinstance(value, float):
-        return f"{name} {value:.3g}" + (f" ± {error:.2g}" if isinstance(error, float) else "")
-    return f"{name} {_value(value)}"
-
-
-def _value(value: object) -> str:
-    if isinstance(value, list | tuple):
-        if len(value) > _MAX_ROWS:
-            return f"[{_value(value[0])}, …, {_value(value[-1])}] ({len(value)} rows)"
-        return f"[{', '.join(_value(x) for x in value)}]"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+def _parameter(name: str, value: object, error: float | None, units: Mapping[str, str]) -> str:
+    """A parameter in a sentence, to the first digit of its standard error."""
+    return parameter_text(name, value, error, units.get(name), digits=3, error_digits=1)
 
 
 def _improvement(step: DiagnosisStep, units: Mapping[str, str]) -> str:
@@ -68,48 +62,55 @@ def _improvement(step: DiagnosisStep, units: Mapping[str, str]) -> str:
     joint = step.chosen.joint or "overall"
     unit = units.get(joint, next(iter(units.values())))
     kind = "Held-out torque" if step.before.validation is not None else "Torque"
-    text = f"{kind} error {step.before.torque[joint]:.3g} → {step.after.torque[joint]:.3g} {unit} RMS"
+    text = f"{kind} error {number(step.before.torque[joint])} → {number(step.after.torque[joint])} {unit} RMS"
     if step.before.simulation is not None and step.after.simulation is not None:
         position_unit = "m" if unit == "N" else "rad"
         before, after = step.before.simulation[joint], step.after.simulation[joint]
-        text += f", position error of the simulation {before:.2g} → {after:.2g} {position_unit}"
+        text += f", position error of the simulation {number(before)} → {number(after)} {position_unit}"
     return text
 
 
-def fitted_along_sentence(entry: EffectEntry) -> str:
+def fitted_along_sentence(entry: EffectEntry, model: RobotModel) -> str:
     """Message about an effect that was fitted but is not reported."""
     description = effect_types()[entry.effect].description
-    parameters = ", ".join(_parameter(name, value, None) for name, value in entry.parameters.items())
+    units = effect_from_entry(entry, model).parameter_units()
+    parameters = ", ".join(_parameter(name, value, None, units) for name, value in entry.parameters.items())
     return f"{description} ({parameters}); it was included in the fit, but is not part of the model"
 
 
 def removal_sentence(removed: Candidate, by: Candidate) -> str:
-    """Reason why an effect was removed again."""
+    """Message about an effect that another one made superfluous."""
     kind = effect_types()[by.effect]
-    why = f"with {by.effect} on {by.target}" if kind.reportable else f"because on {by.target} {kind.description}"
-    return f"{removed.effect} on {removed.target} was removed again: {why}, it no longer explains enough"
+    why = f"with {by.words}" if kind.reportable else f"because on {by.target} {kind.description}"
+    return removal_with_reason(removed, f"{why}, it no longer explains enough")
+
+
+def removal_with_reason(removed: Candidate, reason: str) -> str:
+    """Message about an effect that was removed; ``reason`` is a clause."""
+    return f"{capitalized(removed.words)} was removed again: {reason}"
 
 
 def replacement_sentence(replaced: Candidate, by: Candidate) -> str:
-    """Reason why an effect was replaced by another one."""
+    """Message about an effect that was replaced by another one."""
     return (
-        f"{replaced.effect} on {replaced.target} was replaced by {by.effect} on {by.target}, which explains the data "
-        "better beside the other effects"
+        f"{capitalized(replaced.words)} was replaced by {by.words}, which explains the data better beside the other "
+        "effects"
     )
 
 
 def unproven_sentence(removed: Candidate, reason: str) -> str:
-    """Reason why an effect was removed for lack of evidence; ``reason`` is what speaks against it, a clause."""
-    return (
-        f"{removed.effect} on {removed.target} was removed again: {reason}, and the residual of its joints remains "
-        "above the noise floor with it"
+    """Message about an effect removed for lack of evidence; ``reason`` is what speaks against it, a clause."""
+    return removal_with_reason(
+        removed, f"{reason}, and the residual of its joints remains above the noise floor with it"
     )
 
 
 def distinguishing_experiment(first: Candidate, second: Candidate, experiment: Experiment) -> str:
     """Motion that would distinguish two effects, and the command that designs it for the robot and its logs."""
     kinds = effect_types()
-    hints = [f"{kinds[candidate.effect].excitation_hint} ({candidate.effect})" for candidate in (first, second)]
+    hints = [
+        f"{kinds[candidate.effect].excitation_hint} ({effect_name(candidate.effect)})" for candidate in (first, second)
+    ]
     motion = f"log {hints[0]}, and {hints[1]}"
     if any(kinds[candidate.effect].acts_in_bursts for candidate in (first, second)):
         return motion  # no motion can be designed for what acts whatever the motion

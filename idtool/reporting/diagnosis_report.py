@@ -133,19 +133,18 @@ def _level(level: ErrorSummary) -> ErrorLevel:
 
 
 def _worse_rollouts(before: ErrorSummary, after: ErrorSummary) -> list[str]:
-    """Joints, and ``overall``, whose rollouts a change has made worse although their torque has become better.
+    """Joints, and ``overall``, whose rollouts a change has made worse although the torque of all has become better.
 
     An error that is not finite is that of rollouts that ran away.
     """
-    if before.simulation is None or after.simulation is None:
+    if before.simulation is None or after.simulation is None or after.torque["overall"] >= before.torque["overall"]:
         return []
-    worse = []
-    for name, error in after.simulation.items():
-        error_before = before.simulation[name]
-        is_worse = math.isfinite(error_before) and not error <= (1 + _MIN_RELATIVE_INCREASE) * error_before
-        if is_worse and after.torque[name] < before.torque[name]:
-            worse.append(name)
-    return worse
+    return [
+        name
+        for name, error in after.simulation.items()
+        if math.isfinite(before.simulation[name])
+        and not error <= (1 + _MIN_RELATIVE_INCREASE) * before.simulation[name]
+    ]
 
 
 def _candidate(candidate: Candidate) -> CandidateReport:

@@ -6,10 +6,12 @@ import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from idtool.common.names import capitalized
+from idtool.common.number_text import number
 from idtool.diagnosis.comparison import COMMAND_DELAY
 from idtool.diagnosis.fitted_pair import RIGID_BODY
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
-from idtool.reporting.number_text import number
+from idtool.dynamics.effects import effect_name as named_effect_name
 from idtool.reporting.results.base import ByJointOrNone
 from idtool.reporting.results.diagnosis import (
     AgainstReport,
@@ -23,14 +25,20 @@ from idtool.reporting.results.fit import EffectReport
 from idtool.reporting.simulation_report import POSITION_UNITS
 
 UNKNOWN = "unknown"
+RESIDUAL_MAPS = "the residual maps in diagnosis.html"  # which the page links to
 
 
 def effect_name(effect: str) -> str:
     """An effect's id in plain words."""
     if effect == RIGID_BODY:
         return "inertia"
-    kind = effect_types().get(effect)
-    return (kind.label if kind else "") or effect.replace("_", " ")
+    return named_effect_name(effect)
+
+
+def step_title(step: StepReport) -> str:
+    """Effect of a step and what it acts on, as a title."""
+    name = "unknown effect" if step.effect == UNKNOWN else effect_name(step.effect)
+    return capitalized(f"{name} on {owner_name(step)}")
 
 
 def owner_name(effect: EffectReport | CandidateReport | ChangeReport) -> str:
@@ -70,23 +78,23 @@ def summary(report: DiagnosisReport) -> str:
     floor = _floor_words(report)
     if report.verdict == "no_disagreement":
         return (
-            f"Model and data agree: the {which} torque error, {first:.3g} {unit} RMS, cannot be distinguished from the "
-            f"noise floor, {report.noise_floor['overall']:.3g} {unit}. Nothing was added."
+            f"Model and data agree: the {which} torque error, {number(first)} {unit} RMS, cannot be distinguished from "
+            f"the noise floor, {number(report.noise_floor['overall'])} {unit}. Nothing was added."
         )
     if not known_steps:
-        errors = f"The {which} torque error is {first:.3g} {unit} RMS, and {floor}."
+        errors = f"The {which} torque error is {number(first)} {unit} RMS, and {floor}."
         if report.stopped:
             return f"The diagnosis is incomplete: {_outcome(report.stopped)} before an effect was found. {errors}"
         if not unknown:  # and the noise floor is not known
             return f"It is not known whether model and data agree. {errors}"
-        return f"Model and data disagree, and {_no_effect(report)} explains the difference on {unknown}. {errors}"
+        return f"Model and data disagree, and {_no_effect_explains(report)} the difference on {unknown}. {errors}"
     share = report.gap_closed["overall"]
     closed = "" if share is None else f", so {100 * max(share, 0.0):.0f} % of the gap is closed"
     rest = ""
     if report.stopped:
         rest += f" The diagnosis is incomplete: {_outcome(report.stopped)}, so more effects may be missing."
     elif unknown:
-        rest += f" {_capitalized(_no_effect(report))} explains the remaining residual on {unknown}."
+        rest += f" {capitalized(_no_effect_explains(report))} the remaining residual on {unknown}."
     doubted = [_effect_on_owner(step) for step in known_steps if step.evidence.doubt]
     rest += f" Doubtful: {_join_words(doubted)}; the notices give the reasons." if doubted else ""
     if worse := [_effect_on_owner(step) for step in known_steps if worse_motion(step)]:
@@ -95,7 +103,7 @@ def summary(report: DiagnosisReport) -> str:
     effects = "this effect" if len(known_steps) == 1 else "these effects"
     return (
         f"The model lacks {lacking}. With {effects}, the {which} torque error goes "
-        f"from {first:.3g} to {last:.3g} {unit} RMS. {_capitalized(floor)}{closed}.{rest}"
+        f"from {number(first)} to {number(last)} {unit} RMS. {capitalized(floor)}{closed}.{rest}"
     )
 
 
@@ -104,7 +112,7 @@ def _floor_words(report: DiagnosisReport) -> str:
     floor = report.noise_floor["overall"]
     if floor is None:
         return "the noise floor is not known"
-    return f"the noise floor is {floor:.3g} {common_unit(report.units)}"
+    return f"the noise floor is {number(floor)} {common_unit(report.units)}"
 
 
 def _outcome(stopped: str) -> str:
@@ -112,11 +120,13 @@ def _outcome(stopped: str) -> str:
     return stopped.partition(":")[0]
 
 
-def _no_effect(report: DiagnosisReport) -> str:
-    """The effects that explain nothing, as the subject of a clause."""
+def _no_effect_explains(report: DiagnosisReport) -> str:
+    """Subject and verb of a clause on what the effects do not explain."""
     if report.searched is None:
-        return "no known effect"
-    return "no effect searched for" if len(report.searched) == 1 else "none of the effects searched for"
+        return "no known effect explains"
+    if len(report.searched) == 1:
+        return f"the only effect searched for, {effect_name(report.searched[0])}, does not explain"
+    return "none of the effects searched for explains"
 
 
 def worse_motion(step: StepReport) -> list[str]:
@@ -184,10 +194,10 @@ def against_summary(report: AgainstReport, unit: str, floor: float | None, stopp
     before = report.torque_before["overall"] or 0.0
     after = report.torque_after["overall"] or 0.0
     if not report.changes:
-        noise = "the noise floor is not known" if floor is None else f"the noise floor is {floor:.3g} {unit}"
+        noise = "the noise floor is not known" if floor is None else f"the noise floor is {number(floor)} {unit}"
         return (
-            f"{caution}No change to make in the simulator was found. Its torque error on the robot's logs is "
-            f"{before:.3g} {unit} RMS, and {noise}."
+            f"{caution}No change to make in the simulator was found. The torque error of its model on the robot's "
+            f"logs is {number(before)} {unit} RMS, and {noise}."
         )
     effects = [change for change in report.changes if change.effect != RIGID_BODY]
     bodies = [owner_name(change) for change in report.changes if change.effect == RIGID_BODY]
@@ -199,7 +209,7 @@ def against_summary(report: AgainstReport, unit: str, floor: float | None, stopp
     changes = "this change" if len(report.changes) == 1 else "these changes"
     return (
         f"{caution}Simulator and robot differ in {names}. With {changes}, the simulator's torque error on the "
-        f"robot's logs goes from {before:.3g} to {after:.3g} {unit} RMS."
+        f"robot's logs goes from {number(before)} to {number(after)} {unit} RMS."
     )
 
 
@@ -225,8 +235,8 @@ def next_steps(report: DiagnosisReport, folder: Path | None = None) -> list[str]
             steps.append(f"{purpose}: {step.evidence.separate}")
     owners = [owner_name(step) for step in report.steps if step.effect == UNKNOWN]
     if owners and not report.stopped:
-        what = f"{_no_effect(report)} explains the remaining residual on {_join_words(owners)}"
-        steps.append(f"{_capitalized(what)}: see the residual maps in diagnosis.html.")
+        what = f"{_no_effect_explains(report)} the remaining residual on {_join_words(owners)}"
+        steps.append(f"{capitalized(what)}: see {RESIDUAL_MAPS}.")
     if report.against is not None and report.against.inconclusive:
         steps.append(report.against.advice)
     elif report.against is not None and report.against.changes and not report.stopped:
@@ -271,8 +281,3 @@ def _join_words(words: Iterable[str]) -> str:
     if len(distinct) < 2:
         return "".join(distinct)
     return f"{', '.join(distinct[:-1])} and {distinct[-1]}"
-
-
-def _capitalized(sentence: str) -> str:
-    """A sentence with a capital letter; `str.capitalize` would take them from units."""
-    return sentence[:1].upper() + sentence[1:]

@@ -11,12 +11,14 @@ from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
+from idtool.dynamics.effects import effect_from_entry
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.excitation.deciding import Decision, Separation
 from idtool.excitation.design import Design
 from idtool.excitation.explanations import Explanation
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.task import DesignTask
+from idtool.reporting.fit_report import parameter_units
 from idtool.reporting.results.base import notice_fields, provenance_fields
 from idtool.reporting.results.excitation import (
     Clearance,
@@ -37,6 +39,7 @@ from idtool.reporting.results.excitation import (
 )
 from idtool.reporting.uncertainty_report import coefficient_name, combination_name, terms_report
 from idtool.robot.inertia import PI_SIZE
+from idtool.robot.model import RobotModel
 
 _CURVE_POINTS = 500  # instants of each curve
 _MIN_RELATIVE_PRIOR = 1e-3  # of a base parameter's size: a prior that small is none to compare with
@@ -186,8 +189,8 @@ def _clearance(design: Design) -> Clearance | None:
 def _decision(decision: Decision, task: DesignTask) -> DecisionReport:
     best = _separation(decision.design, task)
     return DecisionReport(
-        a=_explanation(decision.a),
-        b=_explanation(decision.b),
+        a=_explanation(decision.a, task.model),
+        b=_explanation(decision.b, task.model),
         joint=best.joint,
         difference=best.difference,
         noise=best.noise,
@@ -208,10 +211,16 @@ def _separation(separation: Separation, task: DesignTask) -> SeparationReport:
     )
 
 
-def _explanation(explanation: Explanation) -> ExplanationReport:
+def _explanation(explanation: Explanation, model: RobotModel) -> ExplanationReport:
     effects = []
     for entry in explanation.entries:
-        effect = ExplanationEffect(effect=entry.effect, joint=entry.joint, link=entry.link, parameters=entry.values)
+        effect = ExplanationEffect(
+            effect=entry.effect,
+            joint=entry.joint,
+            link=entry.link,
+            parameters=entry.values,
+            units=parameter_units(effect_from_entry(entry, model), entry.values),
+        )
         effects.append(effect)
     return ExplanationReport(name=explanation.name, source=explanation.source, effects=effects)
 

@@ -247,7 +247,7 @@ def test_diagnose_returns_and_writes_what_the_command_does(
     assert [step.effect for step in found.steps] == ["stribeck_friction", "unknown"]
     assert found.steps[0].parameters == printed["steps"][0]["parameters"]
     assert found.model.effects["stribeck_friction"] == ("hip",)
-    assert "\n  1. stribeck_friction on hip\n  2. unknown on knee\n" in repr(found)
+    assert "\n  1. Stribeck friction on hip\n  2. Unknown effect on knee\n" in repr(found)
 
 
 def test_a_bag_may_stand_in_the_urdfs_place(out: Path) -> None:

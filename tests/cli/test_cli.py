@@ -82,7 +82,11 @@ def test_the_help_lists_the_commands_in_the_order_in_which_they_are_needed() -> 
 
 def test_a_mistake_in_a_command_names_the_help_of_that_command() -> None:
     assert idtool("fit").err == "error: command: missing argument 'URDF'; try idtool fit --help\n"
-    assert idtool("fot").err.endswith("try idtool --help\n")
+    assert idtool("fot").err == "error: command: no such command 'fot'. Did you mean 'fit'? Try idtool --help\n"
+    option = idtool("fit", "--outt", "x").err
+    assert option.startswith("error: command: no such option: --outt; did you mean --")
+    assert option.endswith("? Try idtool fit --help\n")
+    assert idtool("fit", "--zzz").err == "error: command: no such option: --zzz; try idtool fit --help\n"
 
 
 def test_no_arguments_show_the_help() -> None:

@@ -69,8 +69,8 @@ Defect = tuple[Callable[[Signals], None], str, str | None, str]
 
 
 DEFECTS: dict[str, Defect] = {
-    "v late": (lag(2e-3), "note", "hip", "v lags the derivative of q by 2"),
-    "v early": (lag(-2e-3), "note", "hip", "v leads the derivative of q by 2"),
+    "v late": (lag(2e-3), "note", "hip", "v lags the derivative of q by 2.00 ms"),
+    "v early": (lag(-2e-3), "note", "hip", "v leads the derivative of q by 2.00 ms"),
     "v missing": (drop("v"), "note", "hip", "v is missing"),
     "v in degrees": (scale("v", 180 / np.pi), "problem", "hip", "v is 57."),
     "v's sign turned": (scale("v", -1.0), "problem", "hip", "v is -1 times the derivative of q"),

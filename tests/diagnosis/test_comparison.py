@@ -151,7 +151,8 @@ def test_a_robot_that_is_the_simulator_needs_no_change(pair: Path) -> None:
     write_log(pair / "same.csv", again)
     found = diagnosed(pair, "same.csv", "--against", "simulator/run1.csv", "--out", "same", *EFFECTS)["against"]
     assert (found["changes"], found["inconclusive"]) == ([], "")
-    assert found["summary"].startswith("No change to make in the simulator was found")
+    start = "No change to make in the simulator was found. The torque error of its model on the robot's logs is "
+    assert found["summary"].startswith(start)
     done = idtool("export", "same", "--patch", "scene.xml", "--out", "same.xml", folder=pair)
     assert done.out.startswith("nothing to change in the file\n")
     assert (pair / "same.xml").read_text() == MJCF

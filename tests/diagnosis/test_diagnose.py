@@ -218,6 +218,17 @@ def test_candidates_can_be_limited_assumed_and_only_reported(stribeck: CaseFiles
     assert set(named(report)[1:]) <= {("quadratic_drag", "shoulder"), ("unknown", "shoulder"), ("unknown", "elbow")}
 
 
+def test_a_model_of_an_earlier_run_is_not_taken_for_that_of_a_report(stribeck: CaseFiles, folder: Path) -> None:
+    out = folder / "earlier"
+    out.mkdir()
+    (out / "model.yaml").write_text("of an earlier run")
+    options = ("--no-simulation", "--report-only", "--effects", "torque_offset")
+    done = idtool("diagnose", stribeck.urdf, stribeck.log, "--config", stribeck.config, "--out", out, *options)
+    assert done.code == 0
+    assert "warning: not of this run, but of an earlier one: model.yaml" in done.out
+    assert (out / "model.yaml").read_text() == "of an earlier run"
+
+
 def test_what_is_assumed_is_fitted_and_not_the_friction_fitted_along(folder: Path) -> None:
     hidden = HiddenEffect("load_dependent_friction", "elbow", None, "ordinary")
     files = write_case(Case("short", "planar2", (hidden,), seconds=7.0), folder / "short")

@@ -273,13 +273,38 @@ def test_a_budget_ends_the_search(arm: Experiment) -> None:
     assert named(found) == set()
     (notice,) = [notice for notice in found.notices if notice.code == "search_interrupted"]
     assert notice.message == "the search reached its time limit; no effect had been found by then"
-    assert notice.advice == "run it again for the rest"
+    assert notice.advice == "allow it more time with a larger --budget"
     assert found.stopped == "the search reached its time limit"
     words = summary(diagnosis_report(found, "refit"))
     assert words.startswith(
         "The diagnosis is incomplete: the search reached its time limit before an effect was found."
     )
     assert diagnose(arm, Options(effects=EFFECTS, simulate=False, budget=1e6), silent).verdict == "explained"
+
+
+def test_a_limited_number_of_effects_is_not_all_that_is_known(arm: Experiment) -> None:
+    found = diagnose(arm, Options(effects=EFFECTS, simulate=False, max_effects=1), silent)
+    assert len(named(found)) == 1
+    assert found.verdict == "partly_explained"
+    assert found.stopped == "the search ended at --max-effects 1"
+    (notice,) = [notice for notice in found.notices if notice.code == "search_interrupted"]
+    assert notice.advice == "allow more effects"
+    assert "The diagnosis is incomplete: the search ended at --max-effects 1" in summary(
+        diagnosis_report(found, "refit")
+    )
+    everything = diagnose(arm, Options(effects=EFFECTS, simulate=False, max_effects=2), silent)
+    assert (everything.verdict, everything.stopped) == ("explained", "")
+
+
+def test_after_ctrl_c_no_other_reason_is_given(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(search: EffectSearch) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(EffectSearch, "_run", interrupt)
+    found = diagnosed(arm)
+    codes = [notice.code for notice in found.notices]
+    assert codes.count("stage_skipped") == 1
+    assert "noise_floor_unknown" not in codes
 
 
 @pytest.mark.parametrize("assumed", [(), (SPRING,), (SPRING, OFFSET)])

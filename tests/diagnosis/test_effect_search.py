@@ -13,7 +13,7 @@ from disturbed import Hidden, experiment_of, silent, torque_on_joint
 
 from idtool.common.exceptions import SolverError
 from idtool.diagnosis import effect_order, effect_search, selection_round
-from idtool.diagnosis.effect_order import first_harmful, order_effects
+from idtool.diagnosis.effect_order import StepErrors, first_harmful, order_effects
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
@@ -66,7 +66,7 @@ def test_an_effect_gives_way_to_one_that_explains_more(tmp_path: Path) -> None:
     right = [OFFSET, ("coulomb_friction", "j1")]
     assert owners(search) == entries_in_model(search) == right
     (sentence,) = search.removed
-    assert sentence.startswith("viscous_friction on j1 was replaced by coulomb_friction on j1")
+    assert sentence.startswith("Viscous friction on j1 was replaced by Coulomb friction on j1")
     search._replace_effects()
     assert owners(search) == right
     assert len(search.removed) == 1
@@ -80,7 +80,7 @@ def test_two_effects_give_way_to_one_that_explains_as_much(tmp_path: Path) -> No
     assert search._replace_two()
     assert owners(search) == entries_in_model(search) == [SPRING]
     assert [sentence.split(",")[0] for sentence in search.removed] == [
-        f"{effect} on j1 was replaced by parallel_spring on j1" for effect in ("torque_offset", "end_stop")
+        f"{effect} on j1 was replaced by parallel spring on j1" for effect in ("Torque offset", "End stop")
     ]
 
 
@@ -121,7 +121,7 @@ def with_rest(rest: float) -> Hidden:
 
 
 DRAG = ("quadratic_drag", "j2")
-UNPROVEN = "quadratic_drag on j2 was removed again: it explains less than a tenth of what another effect does"
+UNPROVEN = "Quadratic drag on j2 was removed again: it explains less than a tenth of what another effect does"
 
 
 @pytest.mark.parametrize("rest", [0.0, 0.4])
@@ -206,12 +206,12 @@ def test_an_effect_that_helps_only_beside_a_larger_one_comes_after_it(tmp_path: 
     experiment = experiment_of(tmp_path, together(stop, small))
     order = [("torque_offset", "j1"), ("end_stop", "j1")]
     search = search_with(experiment, order)
-    error = errors_of_fit(fit(experiment, silent)).torque["overall"]
-    assert first_harmful(search, error) is search.added[0]
-    order_effects(search, error)
+    initial = errors_of_fit(fit(experiment, silent)).torque
+    assert first_harmful(search, StepErrors(search, initial)) is search.added[0]
+    order_effects(search, initial)
     assert owners(search) == order[::-1]
     assert not search.removed
-    assert first_harmful(search, error) is None
+    assert first_harmful(search, StepErrors(search, initial)) is None
 
 
 def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -223,9 +223,9 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
     changing = torque_on_joint(0, lambda t, q, v, tau: np.where(t < 0.69 * t[-1], 0.5, -0.5))
     experiment = with_fixed_inertia(experiment_of(tmp_path, together(changing, offset)))
     search = search_with(experiment, [("torque_offset", "j1"), OFFSET])
-    order_effects(search, errors_of_fit(fit(experiment, silent)).torque["overall"])
+    order_effects(search, errors_of_fit(fit(experiment, silent)).torque)
     assert owners(search) == entries_in_model(search) == [OFFSET]
-    assert search.removed == ["torque_offset on j1 was removed again: it increases the error on the held-out data"]
+    assert search.removed == ["Torque offset on j1 was removed again: it increases the error on the held-out data"]
 
 
 @pytest.mark.parametrize(("log_change", "left"), [(-0.5, [SPRING]), (-0.02, []), (0.5, [])])
@@ -234,15 +234,15 @@ def test_an_effect_that_increases_the_error_only_at_reversals_stays_if_it_helps_
 ) -> None:
     """By errors that are given here: with the effect, they are larger if all samples count."""
     search = search_with(experiment_of(tmp_path, spring, rows=slice(4000)), [SPRING])
-    give_errors(monkeypatch, [1.0, 1.2])
+    give_errors(monkeypatch, [1.2])
     monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after: log_change)
-    order_effects(search, 1.0)
+    order_effects(search, {"overall": 1.0})
     assert owners(search) == left
 
 
 def give_errors(monkeypatch: pytest.MonkeyPatch, errors: Sequence[float]) -> None:
-    """Errors of the model by the number of effects in it."""
-    monkeypatch.setattr(effect_order, "_error_with", lambda search, entries: errors[len(entries)])
+    """Errors of the model with one effect, with two, and so on."""
+    monkeypatch.setattr(StepErrors, "_evaluate", lambda self, effects: {"overall": errors[len(effects) - 1]})
 
 
 @pytest.mark.parametrize(("alone", "together", "left"), [(1.1, 0.5, [SPRING, OFFSET]), (1.1, 1.3, [])])
@@ -252,7 +252,7 @@ def test_effects_that_help_only_together_stay(
     """By errors that are given here, by the number of effects in the model."""
     experiment = experiment_of(tmp_path, spring, rows=slice(4000))
     search = search_with(experiment, [SPRING, OFFSET])
-    give_errors(monkeypatch, [1.0, alone, together])
+    give_errors(monkeypatch, [alone, together])
     monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after: 0.5)
-    order_effects(search, 1.0)
+    order_effects(search, {"overall": 1.0})
     assert sorted(owners(search)) == sorted(left)

@@ -157,3 +157,11 @@ def test_the_reported_floor_counts_what_is_only_fitted_along() -> None:
     found = RemainingResidual(remaining, [], floor).reported_floor(after)
     expected = np.sqrt(0.3**2 + 0.45**2 - 0.35**2)
     assert found == pytest.approx({"a": expected, "b": 0.4, "overall": np.sqrt((expected**2 + 0.4**2) / 2)})
+
+
+def test_the_reported_floor_is_not_above_the_error_that_the_reported_model_has() -> None:
+    """Where an effect is undefined, chance decides which of two nearly equal models has the smaller error."""
+    floor = NoiseFloor(np.array([0.6]), np.zeros(1), np.zeros(1), np.ones(1))
+    search_model, reported = (ErrorSummary({}, {"a": rms, "overall": rms}, None) for rms in (0.65, 0.45))
+    found = RemainingResidual(search_model, [], floor).reported_floor(reported)
+    assert found == pytest.approx({"a": 0.45, "overall": 0.45})

@@ -156,8 +156,8 @@ def test_why_a_step_was_taken_out_is_said_in_known_words() -> None:
     spring, drag, rounded = (
         Candidate(name, "j1", None, 0.5, 0.01, 1) for name in ("parallel_spring", "quadratic_drag", "rounded_friction")
     )
-    text = "parallel_spring on j1 was removed again: "
-    assert removal_sentence(spring, drag) == f"{text}with quadratic_drag on j1, it no longer explains enough"
+    text = "Parallel spring on j1 was removed again: "
+    assert removal_sentence(spring, drag) == f"{text}with quadratic drag on j1, it no longer explains enough"
     found = removal_sentence(spring, rounded)
     assert found.startswith(f"{text}because on j1 friction changes its sign")
     assert "rounded_friction" not in found

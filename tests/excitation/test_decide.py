@@ -103,6 +103,7 @@ def test_parameters_of_the_configuration_are_taken(tmp_path: Path) -> None:
     report, _ = excited(tmp_path, arm(), *QUICK, "--decide", "quadratic_drag:b", "stribeck_friction:b", config=config)
     (effect,) = report["decide"]["a"]["effects"]
     assert effect["parameters"] == {"drag": 0.2}
+    assert effect["units"] == {"drag": "N·m·s²/rad²"}
     assert report["decide"]["a"]["source"] == "configuration"
     assert report["decide"]["b"]["source"] == "typical size"
 

@@ -87,7 +87,7 @@ def step_of(**changes: Any) -> DiagnosisStep:
         "rejected": (candidate("backlash", score=0.1, reason="within two standard errors of zero"),),
         "before": level(0.2, 1.3, 0.4),
         "after": level(0.2, 0.6, 0.4, simulated=0.012),
-        "sentence": "hip: friction rises below 0.15 rad/s",
+        "sentence": "Friction rises below 0.15 rad/s",
         "profile": PROFILE,
     }
     step = DiagnosisStep(**{**contents, **changes})
@@ -117,7 +117,7 @@ def unknown_of(before: ErrorSummary) -> DiagnosisStep:
         location=where,
         before=before,
         after=before,
-        sentence="knee: something structured is left",
+        sentence="Something structured is left",
         **alone,
     )
 

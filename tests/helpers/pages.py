@@ -159,7 +159,8 @@ def complete(page: Page) -> None:
     """Nothing is fetched or run from elsewhere, and every plot says what it shows."""
     for tag, attrs in page.tags:
         assert tag not in ("link", "iframe", "object", "embed", "img", "base", "form")
-        assert not {"src", "href", "srcset", "data", "action"} & set(attrs)
+        assert not {"src", "srcset", "data", "action"} & set(attrs)
+        assert (attrs.get("href") or "#").startswith("#")  # a place on the page
         assert not any(name.startswith("on") for name in attrs)
         if "plot" in (attrs.get("class") or "").split():
             assert attrs["role"] == "img"

@@ -14,18 +14,21 @@ import numpy as np
 import pytest
 import yaml
 from commands import JOINTS, LEG, files, idtool, strict_json
-from diagnoses import BEHIND, STRIBECK, candidate, diagnosis_of, faulty, fits, level, step_of
+from diagnoses import BEHIND, STRIBECK, candidate, diagnosis_of, faulty, fits, level, step_of, unknown_of
 from rich.console import Console
 
 from idtool.diagnosis.diagnose import _verdict
 from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary
-from idtool.diagnosis.words import distinguishing_experiment, step_sentence, with_doubts
-from idtool.dynamics.effects import effect_types
+from idtool.diagnosis.words import distinguishing_experiment, fitted_along_sentence, step_sentence, with_doubts
+from idtool.dynamics.effects import effect_name, effect_types
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report, gap_closed
+from idtool.reporting.diagnosis_text import step_title
 from idtool.reporting.results.diagnosis import DiagnosisReport
+from idtool.reporting.sections.diagnosis import score_text
 from idtool.reporting.terminal import Terminal
 from idtool.reporting.terminal.diagnosis import show_diagnosis
+from idtool.robot.config import EffectEntry
 
 STEP = (
     *("effect", "joint", "link", "parameters", "standard_error", "where", "evidence"),
@@ -282,11 +285,11 @@ def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
         return [step_of(chosen=load, parameters=parameters) for load in loads]
 
     assert with_doubts(loaded(0.99), model) == loaded(0.99)
-    assert _verdict(loaded(0.99), True) == "explained"
+    assert _verdict(loaded(0.99), is_floor_known=True, is_complete=True) == "explained"
     steps = with_doubts([*loaded(1.01), step_of()], model)
     assert [bool(step.doubt) for step in steps] == [True, True, False]
     assert f"the payload on thigh_link and shank_link, {1.01 * moving:.3g} kg, is heavier than all" in steps[0].doubt
-    assert _verdict(steps, True) == "partly_explained"
+    assert _verdict(steps, is_floor_known=True, is_complete=True) == "partly_explained"
     report = report_of(replace(found, steps=tuple(steps[:1]), verdict="partly_explained"))
     assert report["steps"][0]["evidence"]["doubt"] == steps[0].doubt
     assert report["summary"].endswith(
@@ -313,7 +316,7 @@ def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> 
         assert cell in row
     for cell in ("0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load-dependent friction on hip"):
         assert cell in row
-    assert "1. hip: friction rises below 0.15 rad/s" in lines
+    assert "1. Stribeck friction on hip. Friction rises below 0.15 rad/s" in lines
     (hip,) = [line.split() for line in lines if line.startswith("hip ")]
     assert hip == ["hip", "1.43", "0.660", "0.500", "83", "%", "0.0300", "0.0120"]
     assert "reason" not in said(found)
@@ -458,6 +461,8 @@ def test_options_that_cannot_be(tmp_path: Path, asked: list[Asked], options: lis
         (["--assume", "end_stop:kne"], "did you mean knee? available: abad, hip, knee\n"),
         (["--assume", "end_stop"], "end_stop acts on a joint; give end_stop:JOINT; available: abad, hip, knee\n"),
         (["--assume", "gravity_tilt:hip"], "--assume: gravity_tilt acts on the whole robot; give gravity_tilt without"),
+        (["--assume", "time_delay:kne"], "--assume: kne is not a joint of the model; did you mean knee? available: "),
+        (["--effects", "rounded_friction"], "--effects: rounded_friction is always included in the fit"),
     ],
 )
 def test_names_that_are_possible_are_listed(tmp_path: Path, asked: list[Asked], options: list[str], told: str) -> None:
@@ -477,6 +482,41 @@ def test_nothing_is_written_where_a_file_cannot_be(tmp_path: Path, asked: list[A
 
 
 @pytest.mark.parametrize(("effect", "owner"), [("gravity_tilt", "the base"), ("time_delay", "all joints")])
-def test_sentences_name_what_an_effect_on_the_whole_robot_acts_on(effect: str, owner: str) -> None:
+def test_a_title_names_what_an_effect_on_the_whole_robot_acts_on(found: Diagnosis, effect: str, owner: str) -> None:
     step = replace(step_of(), chosen=candidate(effect, joint=None))
-    assert step_sentence(step, dict.fromkeys(("abad", "hip", "knee"), "N·m")).startswith(f"{owner}: ")
+    (report,) = diagnosis_report(replace(found, steps=(step,)), "refit").steps
+    assert step_title(report) == f"{effect_name(effect).capitalize()} on {owner}"
+
+
+def test_a_sentence_has_units_and_no_ids(found: Diagnosis) -> None:
+    errors = {"stribeck": 0.0032, "velocity": 0.0012}
+    step = step_of(parameters={"stribeck": 0.19531, "velocity": 0.11742}, standard_error=errors)
+    sentence = step_sentence(step, found.last.experiment.model)
+    assert sentence.startswith(
+        "Friction increases towards low speed (stribeck 0.195 ± 0.003 N·m, velocity 0.117 ± 0.001 rad/s). "
+        "The residual was concentrated below 0.15 rad/s. Held-out torque error 1.43 → 0.660 N·m RMS"
+    )
+    spring = EffectEntry(effect="parallel_spring", joint="hip", parameters={"stiffness": 0.0, "rest_position": -0.29})
+    assert fitted_along_sentence(spring, found.last.experiment.model).startswith(
+        "a spring acts across the joint (stiffness 0.00 N·m/rad, rest position -0.290 rad); "
+    )
+    for candidates in ((step.chosen, candidate("presliding_hysteresis")),):
+        motion = distinguishing_experiment(*candidates, found.last.experiment).partition("; or")[0]
+        assert "(Stribeck friction)" in motion
+        assert "(presliding hysteresis)" in motion
+
+
+def test_the_only_effect_searched_for_is_named(found: Diagnosis) -> None:
+    left = replace(found, steps=(unknown_of(found.before),), searched=("quadratic_drag",), verdict="unexplained")
+    report = diagnosis_report(left, "refit")
+    clause = "the only effect searched for, quadratic drag, does not explain the "
+    assert f"and {clause}difference on knee." in report.summary
+    assert report.next[0].startswith(f"{clause[:1].upper()}{clause[1:]}remaining residual on knee")
+
+
+@pytest.mark.parametrize(
+    ("score", "error", "text"),
+    [(0.64, 0.03, "64.0 ± 3.0 %"), (-0.0002, 0.0003, "0 %"), (-0.0002, 0.02, "0.0 ± 2.0 %"), (-0.0001, None, "0.0 %")],
+)
+def test_a_score_is_never_minus_zero(score: float, error: float | None, text: str) -> None:
+    assert score_text(score, error) == text

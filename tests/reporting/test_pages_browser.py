@@ -10,6 +10,10 @@ import numpy as np
 import pytest
 from browser import DRIVER, LOOK, MOVE, ROBOT, Browser, browser
 from commands import LEG, TRAIN, VALIDATE, csv_text, idtool, sample_table
+from diagnoses import diagnosis_of, fits, level, step_of
+
+from idtool.reporting.diagnosis_report import diagnosis_report
+from idtool.reporting.pages import diagnosis_page
 
 pytestmark = pytest.mark.skipif(DRIVER is None, reason="no chromedriver: install Debian's chromium-driver or Chrome's")
 
@@ -46,6 +50,47 @@ def test_every_plot_is_drawn(pages: Path, opened: Browser, name: str) -> None:
             assert found["plots"] > 2
             assert (found["blank"], found["wrong"], found["wide"]) == ([], [], False)
             assert found["dark"] == dark
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A diagnosis whose table of steps is as wide as can be: a pair, and a simulation that gets worse."""
+    folder = tmp_path_factory.mktemp("pair")
+    first, last = fits(folder)
+    worse = level(0.2, 0.6, 0.4, simulated=0.04)
+    diagnosis = diagnosis_of(first, last, step_of(after=worse), after=worse)
+    page = folder / "diagnosis.html"
+    page.write_text(diagnosis_page(diagnosis, diagnosis_report(diagnosis, "refit"), "idtool diagnose"))
+    return page
+
+
+# Tables that are wider than their place, and cells of stacked tables without a heading.
+TABLES = """const tables = [...document.querySelectorAll("table")];
+return {
+  wide: tables.filter((table) => table.scrollWidth > table.parentElement.clientWidth).map((table) => table.innerText),
+  stacked: tables.filter((table) => getComputedStyle(table).display === "block").length,
+  bare: document.querySelectorAll(".stacked tbody :is(th, td):not([data-label])").length,
+};"""
+# Plots with a toolbar that reaches into the curves.
+COVERED = """return [...document.querySelectorAll("[data-figure]")].filter((plot) => {
+  const bar = plot.querySelector(".modebar"), area = plot.querySelector(".nsewdrag");
+  return bar && bar.getBoundingClientRect().bottom > area.getBoundingClientRect().top;
+}).map((plot) => plot.getAttribute("aria-label"));"""
+
+
+def test_tables_of_a_diagnosis_fit(pair: Path, opened: Browser) -> None:
+    opened.use(pair, 1400, False)
+    assert opened.run(TABLES) == {"wide": [], "stacked": 0, "bare": 0}
+    opened.use(pair, 400, False)
+    found = opened.run(TABLES)
+    assert found["stacked"] >= 4
+    assert (found["wide"], found["bare"]) == ([], 0)
+
+
+def test_no_toolbar_covers_a_curve(pair: Path, opened: Browser) -> None:
+    for width in (1400, 400):
+        opened.use(pair, width, False)
+        assert opened.run(COVERED) == []
 
 
 def at_rest(opened: Browser) -> dict[str, Any]:

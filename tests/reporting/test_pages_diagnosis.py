@@ -26,6 +26,7 @@ from pages import SCRIPT, Page, complete, evaluation_of, notice_of
 from records import partial
 from rollouts import experiment_of, rollouts_of
 
+from idtool.common.notice import Notice
 from idtool.diagnosis.records import Diagnosis, ErrorSummary, ResidualLocation
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report
@@ -36,6 +37,7 @@ from idtool.reporting.results.base import NoticeReport
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
 
 GAP = "Errors of "
+NOTICE = Notice("any", "warning", None, "something")
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +55,7 @@ def found(leg: tuple[Fit, Fit]) -> Diagnosis:
         location=ResidualLocation((), (), ""),
         before=step_of().after,
         after=level(0.2, 0.55, 0.35, simulated=0.011),
-        sentence="all joints: the torque is 5.1 ms late",
+        sentence="The torque is 5.1 ms late",
         pair=False,
         alternatives=(),
         rejected=(),
@@ -125,12 +127,17 @@ def test_rollouts_that_got_worse_are_called_so(found: Diagnosis) -> None:
     assert page.levels[:4] == ["good", "note", "note", "bad"]
     assert "Do not simulate with this model." in page.plain
     change = "all joints 0.0120 → 0.0400 rad"
-    sentence = f"the torque is predicted better, but the simulated motion gets worse at this step: {change}."
+    motion = f"the simulated motion gets worse at this step: {change}"
+    sentence = f"the torque of all joints together is predicted better, but {motion}."
     assert page.plain.count(sentence) == 2  # among the findings, and at the step
     assert "2. Time delay on all joints: the simulated motion gets worse" in page.plain
     assert "1. Stribeck friction on hip: the simulated" not in page.plain
-    assert page.tags.count(("td", {"class": "bad"})) == 1 + len(JOINTS) + 1  # of the step, and of all joints
-    assert ("td", {"class": "bad"}) not in page_of(found).tags
+    assert bad_cells(page) == 1 + len(JOINTS) + 1  # of the step, and of all joints
+    assert bad_cells(page_of(found)) == 0
+
+
+def bad_cells(page: Page) -> int:
+    return sum(tag == "td" and attrs.get("class") == "bad" for tag, attrs in page.tags)
 
 
 def test_the_gap_is_drawn_step_by_step(found: Diagnosis) -> None:
@@ -160,12 +167,14 @@ def test_tables_hold_the_reports_figures(found: Diagnosis) -> None:
     hip = next(row for row in page.rows if row[0] == "hip" and len(row) == 8)
     assert hip == ["hip", "1.43", "0.605", "0.500", "89 %", "0.550", "0.0300", "0.0110"]
     step = next(row for row in page.rows if row[:3] == ["1", "Stribeck friction", "hip"])
-    assert step[3:5] == ["stribeck 1.91 ± 0.20 N·m, velocity 0.1500 rad/s", "0.873 → 0.475"]
+    assert step[3] == "stribeck 1.91\u00a0±\u00a00.20\u00a0N·m, velocity 0.1500\u00a0rad/s"
+    assert step[4] == "0.873 → 0.475"
+    assert "N·m, <br>velocity" in page.html  # one below the other
     assert step[5:] == ["0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load-dependent friction on hip"]
     words = {row[0]: row[1] for row in page.rows if len(row) == 2}
     assert words["location of the residual"] == "all joints"  # the last of equal heads: of the delay
     assert "64.0 ± 3.0 % of the residual's power" in page.plain
-    assert "1.250 to 2.500 s, 4.000 to 4.500 s" in page.plain
+    assert "1.2 to 2.5 s, 4.00 to 4.50 s" in page.plain
     assert ["backlash", "hip", "10.0 ± 3.0 %", "2", "within two standard errors of zero"] in page.rows
 
 
@@ -293,6 +302,34 @@ def test_what_to_do_next_stands_beside_the_verdict(found: Diagnosis) -> None:
     assert page.plain.count("What to do next") == 1
 
 
+def test_commands_are_code_and_the_maps_are_linked(found: Diagnosis) -> None:
+    step = step_of(distinguishing_experiment="or design the motion: `idtool excite a.urdf`", pair=True)
+    advice = replace(NOTICE, message="not in `SI`", advice="set its `log.scale` to 1 < 2")
+    html = page_of(replace(found, steps=(step, unknown_of(found.after)), notices=(advice,))).html
+    assert html.count("<code>idtool excite a.urdf</code>") == 2  # what to do next, and at the step
+    assert "not in <code>SI</code>" in html
+    assert "set its <code>log.scale</code> to 1 &lt; 2" in html
+    assert "`" not in html[: html.index("<script")]
+    assert '<a href="#residuals">the residual maps below</a>' in html
+    assert html.count('id="residuals"') == 1
+    assert "diagnosis.html" not in html[: html.index("Origin of this report")]
+
+
+def test_the_legend_has_a_noise_floor_only_if_it_is_known(found: Diagnosis) -> None:
+    assert '<span class="c0 dot">noise floor</span>' in page_of(found).html
+    assert '<span class="c0 dot">noise floor</span>' not in page_of(replace(found, is_floor_known=False)).html
+
+
+def test_the_maps_say_which_samples_they_leave_out(found: Diagnosis) -> None:
+    assert "where the direction of friction is not known, at rest and near reversals" in page_of(found).plain
+
+
+def test_a_title_and_its_sentence_name_the_joint_once(found: Diagnosis) -> None:
+    page = page_of(replace(found, steps=(step_of(), unknown_of(found.after))))
+    assert "Stribeck friction on hip. Friction rises below 0.15 rad/s." in page.plain
+    assert "Unknown effect on knee. Something structured is left." in page.plain
+
+
 def test_a_step_is_one_picture(found: Diagnosis) -> None:
     first, _ = found.steps
     page = page_of(replace(found, steps=(first, unknown_of(first.after))))
@@ -352,7 +389,7 @@ def test_what_was_tried_and_lost_is_folded_and_grouped(found: Diagnosis) -> None
         ["end stop", "hip", "40.0 ± 3.0 %"],
         ["backlash", "knee, abad", "20.0 ± 3.0 %"],
     ]
-    assert page.rows[first][-1].startswith("explains nearly as much")
+    assert page.rows[first][-1].startswith("the chosen effect explains more")
 
 
 def test_a_long_log_of_a_large_robot_stays_small(found: Diagnosis, rng: np.random.Generator) -> None:

@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from idtool.reporting.number_text import metres, number, percent, rows_by_unit, with_error
+from idtool.common.number_text import number, with_error
+from idtool.reporting.number_text import metres, percent, rows_by_unit
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,12 @@ from pages import BODY, SCRIPT, SLIDE, Page, complete, notice_of, with_shapes
 from records import partial
 from robots import inertial, link
 
+from idtool.common.number_text import with_error
 from idtool.data.logs import make_log, write_log
 from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.fit import Fit, fit
 from idtool.reporting.fit_report import fit_report
-from idtool.reporting.number_text import four_digits, with_error
+from idtool.reporting.number_text import four_digits
 from idtool.reporting.pages import fit_page
 from idtool.reporting.results.fit import FitReport
 from idtool.robot.config import parse_config

@@ -11,7 +11,8 @@ import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, basis_of, trust_of
 from records import partial
 
-from idtool.reporting.number_text import range_text, rows_by_unit
+from idtool.common.number_text import range_text
+from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.uncertainty import (
     BASE_PARAMETERS,

@@ -11,8 +11,8 @@ from commands import LEG, column_set, config_with, csv_text, fitted, idtool, sam
 from rollouts import experiment_of, rollouts_of
 from sentences import sentences
 
+from idtool.common.number_text import number
 from idtool.estimation.evaluation.rollouts import RolloutError, RolloutEvaluation, simulation_notices
-from idtool.reporting.number_text import number
 from idtool.reporting.simulation_report import simulation_report
 
 UNITS = {"j0": "N·m", "j1": "N"}

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from idtool.common.notice import Notice, Severity
+from idtool.common.number_text import number, with_error
 from idtool.data.inspection.records import InspectedJoint, Velocity
 from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import JointLog
@@ -23,6 +24,7 @@ MIN_EXCHANGE_AGREEMENT = (
 MAX_GAIN_ERROR = 0.03  # off 1: more than a clock is out
 MAX_LOG_GAIN = 0.25  # of log |gain|: more than a calibration is out
 
+_MIN_SHOWN_ERROR = 2e-3  # of a lag: a smaller standard error does not change its three digits
 _MAX_SAMPLES = 1 << 15  # samples
 
 
@@ -84,8 +86,11 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
     phase = 2e-3 * np.pi * band * abs(v.lag_ms)
     if abs(v.lag_ms) > max(1e3 * MIN_LAG * dt, MIN_LAG_ERRORS * v.lag_error_ms) and phase > MIN_LAG_PHASE:
         relation = "lags" if v.lag_ms > 0 else "leads"
-        lag = f"v {relation} the derivative of q by {abs(v.lag_ms):.3g} ± {v.lag_error_ms:.1g} ms"
-        yield Notice("velocity_lag", "note", name, lag, "idtool corrects it")
+        lag = number(abs(v.lag_ms))
+        if v.lag_error_ms > _MIN_SHOWN_ERROR * abs(v.lag_ms):
+            lag = " ± ".join(with_error(abs(v.lag_ms), v.lag_error_ms, digits=1))
+        message = f"v {relation} the derivative of q by {lag} ms"
+        yield Notice("velocity_lag", "note", name, message, "idtool corrects it")
 
 
 def is_another_unit(gain: float) -> bool:

@@ -34,6 +34,7 @@ __all__ = [
     "build_effects",
     "config_parameters",
     "effect_from_entry",
+    "effect_name",
     "effect_types",
     "friction_types",
     "mechanism_of",
@@ -106,6 +107,12 @@ def mechanism_of(effect: Effect, model: RobotModel) -> Mechanism:
     theta = np.array([c.prior for c in effect.coefficients])
     effect.add_to_forward_model(theta, mechanism)
     return mechanism
+
+
+def effect_name(effect: str) -> str:
+    """An effect's id in plain words."""
+    kind = effect_types().get(effect)
+    return (kind.label if kind else "") or effect.replace("_", " ")
 
 
 def target_name(effect: str, joint: str | None, link: str | None) -> str:

@@ -102,6 +102,8 @@ class NamedEffect(Effect):
         True if `diagnose` may name it; else it is only included in the fit, so that it does not hide other effects.
     acts_in_bursts
         True if it explains intervals of time in which the residual is unusually large.
+    may_act_on_all_joints
+        True if it acts on one joint or, where an entry names none, on all.
     is_commonplace
         True if any joint may well have it, so that torque which it explains shows no fault of the data.
     is_rotor_inertia
@@ -131,6 +133,7 @@ class NamedEffect(Effect):
     is_undefined_where_it_acts: bool = False
     reportable: bool = True
     acts_in_bursts: bool = False
+    may_act_on_all_joints: bool = False
     is_commonplace: bool = False
     is_rotor_inertia: bool = False
     friction_key: str = ""

@@ -48,6 +48,7 @@ class TimeDelay(FixedEffect):
 
     id = "time_delay"
     is_countable = True
+    may_act_on_all_joints = True
     description = "the torque is recorded with a delay relative to the position (earlier if the delay is negative)"
     excitation_hint = "quick motion with sharp changes of torque"
     cause = "torque_rate"

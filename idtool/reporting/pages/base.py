@@ -16,17 +16,23 @@ from __future__ import annotations
 
 import base64
 import gzip
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
 import jinja2
+from markupsafe import Markup, escape
 from plotly.offline import get_plotlyjs
 
-from idtool.reporting.number_text import metres, number, percent, with_error
+from idtool.common.number_text import number, with_error
+from idtool.reporting.number_text import metres, percent
 from idtool.reporting.pages.embedding import EmbeddedFigures
 from idtool.reporting.plots.figure import Figure
 from idtool.reporting.sections.base import Section
+
+_CODE = re.compile("`([^`\n]+)`")
+_WITHIN_FIGURE = re.compile(r" (?=[±→])|(?<=[±→]) |(?<=\d) (?=[^\W\d])")  # the last before a unit
 
 Sections = Sequence[tuple[str, str | Sequence[Figure]] | Section[Any]]
 
@@ -73,7 +79,9 @@ def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str
         lstrip_blocks=True,
     )
     figures = EmbeddedFigures()
-    environment.filters.update(number=number, with_error=with_error, metres=metres, percent=percent)
+    environment.filters.update(
+        code=code, unbroken=unbroken, number=number, with_error=with_error, metres=metres, percent=percent
+    )
     environment.globals.update(embed=figures.add, embedded=figures.to_json)
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     page = environment.get_template("page.html")
@@ -82,6 +90,18 @@ def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str
         title=title, sections=page_sections, scripts=scripts, data=data, plotly=_compressed_plotly(), **context
     )
     return html.encode(errors="replace").decode()  # a path need not be text
+
+
+def code(text: str) -> Markup:
+    """Text as HTML, with what stands in backticks as code; markup stays as it is."""
+    parts = _CODE.split(escape(text))
+    parts[1::2] = [f"<code>{part}</code>" for part in parts[1::2]]
+    return Markup("".join(parts))  # noqa: S704  # escaped above
+
+
+def unbroken(text: str) -> str:
+    """Text of which no line ends within a figure, such as "0.20 ± 0.01 rad"."""
+    return _WITHIN_FIGURE.sub("\u00a0", text)
 
 
 def _template_section(title: str, content: str | Sequence[Figure]) -> TemplateSection:

@@ -7,18 +7,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from idtool.common.number_text import range_text
 from idtool.diagnosis.records import Diagnosis
 from idtool.estimation.evaluation.envelope import Trace
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.reporting.diagnosis_text import (
+    RESIDUAL_MAPS,
     UNKNOWN,
     effect_name,
     owner_name,
     position_units,
+    step_title,
     worse_motion,
     worse_motion_sentence,
 )
-from idtool.reporting.number_text import number, rows_by_unit
+from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.pages.base import render
 from idtool.reporting.pages.bodies import report_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
@@ -101,6 +104,8 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
         verdict=_verdict(report),
         cards=[_step_view(i, step, report) for i, step in enumerate(report.steps, 1)],
         held_out=held_out,
+        removed=[_with_full_stop(sentence) for sentence in report.removed],
+        residual_maps=RESIDUAL_MAPS,
         worst=_worst_joint(report),
         lost=CandidatesSection("Effects that were tried in this step", _MAX_ROWS),
         **{
@@ -134,11 +139,11 @@ def _step_view(index: int, step: StepReport, report: DiagnosisReport) -> dict[st
         **{name: getattr(step, name) for name in StepReport.model_fields},
         "index": index,
         "known": known,
-        "title": f"{_title(step.effect)} on {owner_name(step)}" if known else f"Unknown effect on {owner_name(step)}",
+        "title": step_title(step),
         "sentence": _with_full_stop(step.evidence.sentence),
         "separate": _with_full_stop(step.evidence.separate),
         "texts": parameter_texts(step),
-        "windows": [f"{number(a, 4)} to {number(b, 4)} s" for a, b in step.where.windows],
+        "windows": [f"{range_text(first, last)} s" for first, last in step.where.windows],
         "near": [(effect_name(rival.effect), owner_name(rival)) for rival in step.alternatives],
         "step": step,
         "lost_count": len(step.alternatives) + len(step.rejected),
@@ -150,11 +155,6 @@ def _step_view(index: int, step: StepReport, report: DiagnosisReport) -> dict[st
 def _with_full_stop(sentence: str) -> str:
     """A sentence with its full stop."""
     return sentence if sentence[-1:] in ("", ".", "!", "?") else f"{sentence}."
-
-
-def _title(effect: str) -> str:
-    name = effect_name(effect)
-    return name[:1].upper() + name[1:]
 
 
 def _torque_figures(last: Sequence[Trace], first: Sequence[Trace], units: Mapping[str, str]) -> LogFigures:

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from idtool.reporting.number_text import interval_text, number, range_text
+from idtool.common.number_text import number, range_text
+from idtool.reporting.number_text import interval_text
 from idtool.reporting.pages.base import Sections
 from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.results.fit import (

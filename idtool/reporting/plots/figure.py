@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 PlotlyTrace = dict[str, Any]
 Values = Sequence[float | None]
 
-TALL, MEDIUM, SHORT = 460, 340, 240  # px
+TALL, MEDIUM, SHORT = 484, 364, 264  # px, of which 32 are for the toolbar
 _STACKED = 300  # px, of a figure among others
 _COLORS = 8  # c0 to c7 in style.css
 _DASHES = ("solid", "dash", "dot")  # of curves beyond the number of colours

@@ -120,7 +120,7 @@ class Evidence(Record):
         "Position error of rollouts of the model after the step; that of the model with all steps is in `after`."
     )
     rollout_worse: tuple[str, ...] = field(
-        "Joints whose simulation is worse although their torque is predicted better."
+        "Joints whose simulation is worse although the torque of all joints together is predicted better."
     )
     sentence: str = field("Description of the step.")
     doubt: str = field("Reason for doubt, such as a size that differs between logs; empty: none.")
@@ -160,7 +160,10 @@ class ResidualMap(Record):
     """A joint's residual against its state, for plots."""
 
     against: ByState = field("Centres of the bins of `position`, `velocity`, `torque`, `acceleration` and `time`.")
-    mean: ByState = field("Mean of the residual in each bin [N·m or N].")
+    mean: ByState = field(
+        "Mean of the residual in each bin [N·m or N]; without the samples at which the direction of friction is not "
+        "known, or the play of a backlash is open."
+    )
     rms: ByState = field("RMS of the residual in each bin.")
     frequency: Vector = field("Frequencies [Hz].")
     density: Vector = field("Amplitude density at each frequency.")
@@ -261,7 +264,7 @@ class DiagnosisReport(ReproducibleResult):
     )
     gap_closed: ByJointOrNone = field("(before − after) / (before − noise floor); null if there was almost no gap.")
     rollout_worse: tuple[str, ...] = field(
-        "Joints whose simulation is worse although their torque is predicted better."
+        "Joints whose simulation is worse although the torque of all joints together is predicted better."
     )
     steps: tuple[StepReport, ...] = field("Effects that were added, in order.")
     removed: Sentences = field("Effects that were added and removed again, one sentence each.")

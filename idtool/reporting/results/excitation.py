@@ -98,6 +98,7 @@ class ExplanationEffect(Record):
     joint: str | None = field("The joint it acts on; null if it has none.")
     link: str | None = field("The link it acts on; null if it has none.")
     parameters: ByParameter = field("Its parameters.")
+    units: Annotated[ReadOnly[str | None], Keys("parameter")] = field("Units of the parameters; null: none.")
 
 
 class ExplanationReport(Record):

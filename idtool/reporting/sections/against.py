@@ -7,8 +7,8 @@ from typing import Any
 
 from typing_extensions import override
 
+from idtool.common.number_text import number, with_error
 from idtool.reporting.diagnosis_text import common_unit, effect_name, owner_name, position_units
-from idtool.reporting.number_text import number, with_error
 from idtool.reporting.results.diagnosis import ChangeReport, DiagnosisReport
 from idtool.reporting.sections.base import (
     NO_VALUE,

@@ -11,14 +11,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Literal, TypeVar
 
+from idtool.common.number_text import number, with_error
 from idtool.reporting.diagnosis_text import common_unit
-from idtool.reporting.number_text import number, percent, with_error
+from idtool.reporting.number_text import percent
 
 R_contra = TypeVar("R_contra", contravariant=True)
 
 Kind = Literal["name", "number", "words"]
 Emphasis = Literal["good", "note", "bad"]
 
+_MAX_PHONE_COLUMNS = 4  # that fit side by side
+_MAX_STACKED_ROWS = 30  # longer tables are for looking a row up
 NO_VALUE = "–"  # shown instead of a number that does not exist
 
 
@@ -62,11 +65,19 @@ class Cell:
         The number with all its digits; None if there is none.
     emphasis
         Assessment, shown as a colour.
+    lines
+        The parts of a text that the page shows one below the other; empty: the text is one part.
     """
 
     text: str
     value: float | None = None
     emphasis: Emphasis | None = None
+    lines: Sequence[str] = ()
+
+    @classmethod
+    def of_lines(cls, lines: Sequence[str]) -> Cell:
+        """A cell with several texts, which are separated by commas in the terminal."""
+        return cls(", ".join(lines), lines=lines)
 
 
 @dataclass(frozen=True)
@@ -96,6 +107,16 @@ class Table:
     def __post_init__(self) -> None:
         if any(len(row) != len(self.columns) for row in self.rows):
             raise ValueError(f"{self.title}: the number of cells in a row differs from the number of columns")
+
+    @property
+    def is_stacked_on_phones(self) -> bool:
+        """True if a narrow screen shows each row as a list of headings and values; a long table is scrolled there."""
+        return len(self.columns) > _MAX_PHONE_COLUMNS and len(self.rows) <= _MAX_STACKED_ROWS
+
+    def text_width(self, index: int) -> int:
+        """Length of the longest text in a column, without its heading [characters]."""
+        texts = [text for row in self.rows for text in (row[index].lines or (row[index].text,))]
+        return max(map(len, texts), default=0)
 
     def in_terminal(self) -> Table:
         """The table without the columns and rows that only the page shows."""

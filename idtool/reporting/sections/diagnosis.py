@@ -8,6 +8,7 @@ from typing import Any
 
 from typing_extensions import override
 
+from idtool.common.number_text import number, parameter_text
 from idtool.reporting.diagnosis_text import (
     UNKNOWN,
     common_unit,
@@ -16,7 +17,6 @@ from idtool.reporting.diagnosis_text import (
     position_units,
     worse_motion,
 )
-from idtool.reporting.number_text import number, with_error
 from idtool.reporting.results.base import ByJointOrNone
 from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, StepReport
 from idtool.reporting.sections.base import (
@@ -32,9 +32,8 @@ from idtool.reporting.sections.base import (
 )
 
 _MAX_INCREASE = 1.02  # times the torque error before
-_NO_REASON = "explains nearly as much; the chosen effect is simpler, likelier or explains more"
+_NO_REASON = "the chosen effect explains more, or is simpler or likelier"
 _EXPLAINED = "Percentage of the squared residual that the effect removes on data not used for fitting"
-_MAX_ROWS = 8  # of a parameter that is a table
 
 
 class StepsSection(Section[DiagnosisReport]):
@@ -75,7 +74,7 @@ class StepsSection(Section[DiagnosisReport]):
                 Cell(str(i)),
                 Cell(effect_name(step.effect)),
                 Cell(owner_name(step)),
-                Cell(", ".join(parameter_texts(step))),
+                Cell.of_lines(parameter_texts(step)),
                 Cell(change_text(step.validation_rms_before, step.validation_rms_after)),
                 Cell(simulation, None, worse),
                 Cell(score_text(evidence.score, evidence.standard_error), evidence.score),
@@ -224,36 +223,21 @@ def parameter_texts(step: StepReport) -> list[str]:
     step
         An entry of ``steps`` of diagnosis.json.
     """
-    errors, units = step.standard_error, step.units
-    texts = {name: _value_text(value, errors.get(name)) for name, value in step.parameters.items()}
-    return [f"{name} {text} {units.get(name) or ''}".rstrip() for name, text in texts.items()]
-
-
-def _value_text(value: Any, error: Any) -> str:
-    """A parameter; one of several numbers has them in brackets."""
-    if isinstance(value, list | tuple):
-        has_errors = isinstance(error, list | tuple) and len(error) == len(value)
-        errors = error if has_errors else [None] * len(value)
-        texts = [_value_text(x, e) for x, e in zip(value, errors, strict=True)]
-        if len(texts) > _MAX_ROWS:
-            return f"[{texts[0]}, …, {texts[-1]}] ({len(texts)} rows)"
-        return f"[{', '.join(texts)}]"
-    if value is None:
-        return NO_VALUE
-    if isinstance(value, bool | str):
-        return str(value)
-    if error is None:
-        return number(value, 4)
-    return " ± ".join(with_error(value, error))
+    texts = []
+    for name, value in step.parameters.items():
+        texts.append(parameter_text(name, value, step.standard_error.get(name), step.units.get(name)))
+    return texts
 
 
 def score_text(score: float | None, error: float | None) -> str:
     """A share of the disagreement in percent, with its standard error."""
     if score is None:
         return NO_VALUE
+    text = f"{100 * score:z.1f}"  # without a sign before 0.0
     if error is None:
-        return f"{100 * score:.1f} %"
-    return f"{100 * score:.1f} ± {100 * error:.1f} %"
+        return f"{text} %"
+    deviation = f"{100 * error:.1f}"
+    return "0 %" if float(text) == float(deviation) == 0 else f"{text} ± {deviation} %"
 
 
 def change_text(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None, name: str = "overall") -> str:

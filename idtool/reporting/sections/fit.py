@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from typing_extensions import override
 
+from idtool.common.number_text import number
 from idtool.reporting.diagnosis_text import effect_name, owner_name, position_units
-from idtool.reporting.number_text import interval_text, metres, number
+from idtool.reporting.number_text import interval_text, metres
 from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.results.fit import BodyReport, FitReport, FrictionErrors, FrictionReport
 from idtool.reporting.sections.base import (
@@ -235,8 +236,8 @@ class FrictionSection(Section[FitReport | DiagnosisReport]):
     @override
     def text(self, report: FitReport | DiagnosisReport) -> str:
         return (
-            "Torque = viscous · v + Coulomb · sign(v) + offset. ± se: one standard error; –: the data do not determine "
-            "the value. A value of – means that the term is not part of the model."
+            "Torque = viscous · v + Coulomb · sign(v) + offset. ± se: one standard error. – as a value: the term "
+            "is not part of the model; – as a standard error: the data do not determine the value."
         )
 
 

@@ -11,7 +11,7 @@ const plots = (() => {
   const axis = () => ({ gridcolor: color("line"), zerolinecolor: color("line"), linecolor: color("line") });
   const layout = (height) => ({
     width: paper() ? printed : undefined, height, showlegend: false,
-    margin: { l: 60, r: 8, t: touch ? 28 : 8, b: 40 }, dragmode: touch ? false : "zoom",
+    margin: { l: 60, r: 8, t: 32, b: 40 }, dragmode: touch ? false : "zoom",
     paper_bgcolor: color("page"), plot_bgcolor: color("page"),
     font: { color: color("ink"), size: 12, family: "system-ui, sans-serif" }, uirevision: "zoom",
   });

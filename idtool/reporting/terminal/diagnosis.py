@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from idtool.reporting.diagnosis_text import UNKNOWN, owner_name, worse_motion, worse_motion_sentence
+from idtool.reporting.diagnosis_text import (
+    UNKNOWN,
+    effect_name,
+    owner_name,
+    step_title,
+    worse_motion,
+    worse_motion_sentence,
+)
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
 from idtool.reporting.sections.against import ChangesSection, SimulatorGapSection
 from idtool.reporting.sections.diagnosis import (
@@ -17,6 +24,7 @@ from idtool.reporting.sections.diagnosis import (
 from idtool.reporting.terminal.base import STYLE, Terminal
 
 _STYLES = {"explained": "bold green", "no_disagreement": "bold green", "unexplained": STYLE["problem"]}
+_MODEL_FILES = ("identified.urdf", "model.yaml")
 
 
 def show_diagnosis(
@@ -54,6 +62,9 @@ def show_diagnosis(
         terminal.say(f"next: {text}")
     terminal.notices(report.further_notices)
     terminal.say(f"written: {folder}/{', '.join(files)}")
+    older = [name for name in _MODEL_FILES if name not in files and (folder / name).exists()]
+    if older:
+        terminal.say(f"warning: not of this run, but of an earlier one: {', '.join(older)}", STYLE["warning"])
 
 
 def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
@@ -70,12 +81,15 @@ def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
 def _show_step(terminal: Terminal, index: int, step: StepReport, report: DiagnosisReport) -> None:
     """Print a step as a sentence, and what speaks against it in colour."""
     evidence = step.evidence
-    terminal.say(f"{index}. {evidence.sentence}", STYLE["warning"] if step.effect == UNKNOWN else None)
+    terminal.say(
+        f"{index}. {step_title(step)}. {evidence.sentence}", STYLE["warning"] if step.effect == UNKNOWN else None
+    )
     if evidence.pair and step.alternatives:
         rival = step.alternatives[0]
+        name = effect_name(rival.effect)
         terminal.say(
-            f"   these data cannot distinguish it from {rival.effect} on {owner_name(rival)}: it explains "
-            f"{score_text(evidence.score, evidence.standard_error)} of the residual, and {rival.effect} explains "
+            f"   these data cannot distinguish it from {name} on {owner_name(rival)}: it explains "
+            f"{score_text(evidence.score, evidence.standard_error)} of the residual, and {name} explains "
             f"{score_text(rival.score, rival.standard_error)}",
             STYLE["warning"],
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from idtool.common.number_text import parameter_text
 from idtool.reporting.results.excitation import ExcitationReport, ExplanationReport
 from idtool.reporting.sections.excite import (
     CriteriaSection,
@@ -35,9 +36,7 @@ def _parameters(explanation: ExplanationReport) -> str:
     """Parameters of an explanation's effects, in their order."""
     parts = []
     for effect in explanation.effects:
-        parts += [f"{name} {_number_text(value)}" for name, value in effect.parameters.items()]
+        parts += [
+            parameter_text(name, value, unit=effect.units[name], digits=3) for name, value in effect.parameters.items()
+        ]
     return ", ".join(parts)
-
-
-def _number_text(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -187,10 +187,17 @@ def parse_xml(path: Path, data: bytes) -> etree._Element:
     try:
         root = etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:
-        raise ModelError(path, f"is not XML: {error.msg}") from None
+        raise ModelError(path, f"is not XML: {_syntax_error_text(error)}") from None
     if root.getroottree().docinfo.internalDTD is not None:
         raise ModelError(path, "declares a document type, which it does not need; remove it")
     return root
+
+
+def _syntax_error_text(error: etree.XMLSyntaxError) -> str:
+    """The parser's message with the place, which libxml2 may name a second time within it."""
+    line, column = error.position
+    text = (error.msg or "").removesuffix(f", line {line}, column {column}").removesuffix(f" line {line}")
+    return f"{text} (line {line}, column {column})"
 
 
 def _kinematic_urdf(path: Path, data: bytes) -> bytes:
