@@ -395,8 +395,8 @@ def _jumps(simulated: Experiment) -> Obstacle | None:
         return None
     what = f"the simulator's logs have jumps, as after restarts ({join_names(jumps)})"
     advice = (
-        "Log the simulator without restarts, under its controller; with `idtool simulate`, use --closed-loop, --track "
-        "or --window 0. Then diagnose again."
+        "Log the simulator without restarts, under its controller; with `idtool simulate`, use `--closed-loop`, "
+        "`--track` or `--window 0`. Then diagnose again."
     )
     return Obstacle(f"{what}: velocity and acceleration are wrong there", advice)
 

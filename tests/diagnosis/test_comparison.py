@@ -247,7 +247,7 @@ def test_a_log_with_jumps_makes_the_comparison_inconclusive(pair: Path) -> None:
     assert "have jumps, as after restarts (5 jumps of q on yaw, " in against["inconclusive"]
     assert against["summary"].startswith(f"The comparison is not conclusive: {against['inconclusive']}. ")
     assert found["next"][0] == against["advice"]
-    assert "use --closed-loop, --track or --window 0" in against["advice"]
+    assert "use `--closed-loop`, `--track` or `--window 0`" in against["advice"]
     assert not any(text.startswith(("Make the changes", "Check the final model")) for text in found["next"])
     page = (pair / "jumps" / "diagnosis.html").read_text()
     assert '<li class="note"><b>Against the simulator.</b> The comparison is not conclusive' in page
