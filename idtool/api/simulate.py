@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 import os
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from idtool.api.data import LogSource, load_experiment
 from idtool.api.log import Log
@@ -248,10 +251,7 @@ def _choose_window(experiment: Experiment, window: float | None) -> float | None
 
 def _report(experiment: Experiment, simulated: SimulatedLog, wall_seconds: float) -> SimulationReport:
     """The record of the result, without the file."""
-    notices = list(experiment.notices)
-    if simulated.diverged:
-        message = f"{simulated.diverged} of {simulated.rollouts} rollouts diverged; each ends where it diverged"
-        notices.append(Notice("simulation_diverged", "warning", None, message))
+    notices = [*experiment.notices, *_motion_notices(experiment, simulated)]
     return SimulationReport(
         file=None,
         joints=simulated.log.joints,
@@ -268,3 +268,25 @@ def _report(experiment: Experiment, simulated: SimulatedLog, wall_seconds: float
         log=str(experiment.runs[0].signals.log.path),
         **notice_fields(notices),
     )
+
+
+def _motion_notices(experiment: Experiment, simulated: SimulatedLog) -> Iterator[Notice]:
+    """Notices about a motion that is not that of the log."""
+    if simulated.diverged:
+        message = f"{simulated.diverged} of {simulated.rollouts} rollouts diverged; each ends where it diverged"
+        yield Notice("simulation_diverged", "warning", None, message)
+    if simulated.position:
+        units = " or ".join(dict.fromkeys(POSITION_UNITS[unit] for unit in experiment.model.units.values()))
+        error = simulated.position["overall"]
+        motion = float(np.sqrt(np.nanvar(simulated.measured, axis=0).mean()))
+        if error > motion:
+            difference = f"it differs by {error:.3g} {units} RMS, and the joints move by {motion:.3g} {units} RMS"
+            message = f"the simulated motion does not follow the log: {difference}"
+            advice = "check kp and kd of the controller"
+            if simulated.kind == "open_loop":
+                advice = "torque errors add up under a logged torque: use --closed-loop, --track or a short --window"
+            yield Notice("simulation_ran_away", "warning", None, message, advice)
+    if simulated.rollouts > len(experiment.runs[0].held_out):
+        message = f"every {simulated.window:g} s, the simulation restarts from the measured state, and the motion jumps"
+        advice = "for a log without jumps, as diagnose --against needs it, use --closed-loop, --track or --window 0"
+        yield Notice("simulation_restarted", "note", None, message, advice)

@@ -54,6 +54,11 @@ class LogPair:
         """True if the two may be motions under the same commands."""
         return self.position["overall"] <= _MAX_DIFFERENCE * self.motion["overall"]
 
+    @property
+    def is_unrelated(self) -> bool:
+        """True if the two differ by as much as the robot moves, so that they cannot be compared."""
+        return self.position["overall"] > self.motion["overall"]
+
 
 def paired_paths(logs: Sequence[Path], against: Sequence[Path]) -> list[Path]:
     """The simulator's log of each of the robot's logs.

@@ -15,7 +15,10 @@ from typing import Any
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.exceptions import LogError
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.data.inspection import inspect_log
 from idtool.data.pairing import LogPair, align
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.fitted_pair import ALL_BODIES, RIGID_BODY, FittedPair, GapLevel, TermKey, fitted_delay
@@ -32,7 +35,10 @@ _INSIGNIFICANT = f"differs by less than {_MIN_SIGNIFICANCE:g} standard errors"
 _MIN_SHARE = 0.01  # of a joint's squared gap that a change must close
 _NEGLIGIBLE = 3e-3  # of a joint's torque, as its standard deviation: a smaller error does not matter
 _MAX_UNEXPLAINED = 0.05  # of a joint's rms torque that the simulator's model may leave
+_MAX_OVER_FLOOR = 2.0  # times the noise floor: an error up to there may be noise
+_IN_ROBOT_LOGS_ONLY = ("wrong_unit", "wrong_sign")  # faults that the configuration corrects in the robot's logs only
 COMMAND_DELAY = "command_delay"
+_CHECK_SIMULATOR = "check that the simulator runs this URDF, with the same gravity, and logs the torque at the joints"
 _BODY_UNITS = {"mass": "kg", "com": "m", "inertia_com": "kg·m²"}
 
 
@@ -103,6 +109,22 @@ class Change:
 
 
 @dataclass(frozen=True)
+class Obstacle:
+    """Reason why a comparison is not conclusive.
+
+    Attributes
+    ----------
+    reason
+        The reason, a clause.
+    advice
+        What to do, one or two sentences.
+    """
+
+    reason: str
+    advice: str
+
+
+@dataclass(frozen=True)
 class Comparison:
     """A robot against its simulator.
 
@@ -118,6 +140,8 @@ class Comparison:
         Effects that need no change.
     before, after
         Errors of the simulator's model on the robot's logs, and of the same model with the changes.
+    obstacle
+        Reason why the comparison is not conclusive, and what to do; None if it is conclusive.
     notices
         Notices for the user.
     """
@@ -129,6 +153,7 @@ class Comparison:
     unchanged: tuple[Change, ...]
     before: GapLevel
     after: GapLevel
+    obstacle: Obstacle | None
     notices: tuple[Notice, ...]
 
 
@@ -152,6 +177,11 @@ def compare(measured: Experiment, simulated: Experiment, options: Options, progr
     joints = measured.equation.joints
     runs = zip(measured.runs, simulated.runs, strict=False)  # logs for validation alone have no partner
     log_pairs = [align(run.signals.log, other.signals.log, joints) for run, other in runs]
+    units = measured.model.units
+    for log_pair in log_pairs:
+        if log_pair.is_unrelated:
+            what = f"does not show the motion of the robot's log {log_pair.measured}: {_difference(log_pair, units)}"
+            raise LogError(log_pair.simulated, f"{what}; play the same commands in the simulator, under a controller")
 
     simulator_options = replace(options, inertia="fixed", assumed=(), simulate=False)
     simulator = diagnose(simulated, simulator_options, _prefixed(progress, "simulator"))
@@ -159,16 +189,26 @@ def compare(measured: Experiment, simulated: Experiment, options: Options, progr
     robot = diagnose(with_simulator_effects, options, _prefixed(progress, "robot"))
 
     pair = FittedPair(simulator.last, robot.last, _prefixed(progress, "comparison"))
-    changes, changed_keys = _changes(pair)
+    differences, changed_keys = _changes(pair)
+    changes = tuple(change for change in differences if not change.reason)
+    before = pair.gap_level((), options.simulate)
+    notices = [*_pair_notices(log_pairs, units), *_simulator_notices(simulator)]
+    obstacle = _jumps(simulated)
+    if obstacle is None:
+        notices += _unexplained_notices(simulator)
+        obstacle = _unexplained_simulator(simulator)
+    if obstacle is None and not changes:
+        obstacle = _unexplained_gap(before, robot)
     return Comparison(
         simulated=simulator,
         measured=robot,
         pairs=tuple(log_pairs),
-        changes=tuple(change for change in changes if not change.reason),
-        unchanged=tuple(change for change in changes if change.reason),
-        before=pair.gap_level((), options.simulate),
+        changes=changes,
+        unchanged=tuple(change for change in differences if change.reason),
+        before=before,
         after=pair.gap_level(changed_keys, options.simulate),
-        notices=(*_pair_notices(log_pairs), *_simulator_notices(simulator)),
+        obstacle=obstacle,
+        notices=tuple(notices),
     )
 
 
@@ -344,32 +384,95 @@ def _mass_properties(pi: Array) -> dict[str, Any]:
     return {"mass": float(mass), "com": com.tolist(), "inertia_com": symmetric_entries(inertia).tolist()}
 
 
-def _pair_notices(pairs: Sequence[LogPair]) -> Iterator[Notice]:
+def _jumps(simulated: Experiment) -> Obstacle | None:
+    """Jumps of the positions in the simulator's logs, as after a restart; None if there are none."""
+    jumps = []
+    for run in simulated.runs:
+        for finding in inspect_log(run.signals.log).findings:
+            if finding.code == "position_jumps" and finding.subject in simulated.model.names:
+                jumps.append(f"{finding.message} on {finding.subject}")
+    if not jumps:
+        return None
+    what = f"the simulator's logs have jumps, as after restarts ({join_names(jumps)})"
+    advice = (
+        "Log the simulator without restarts, under its controller; with `idtool simulate`, use `--closed-loop`, "
+        "`--track` or `--window 0`. Then diagnose again."
+    )
+    return Obstacle(f"{what}: velocity and acceleration are wrong there", advice)
+
+
+def _unexplained_simulator(simulator: Diagnosis) -> Obstacle | None:
+    """Torque in the simulator's own logs that its model does not explain; None if it explains enough of it."""
+    joints = _unexplained_joints(simulator)
+    if not joints:
+        return None
+    reason = f"the simulator's own logs are not explained on {join_names(joints)}"
+    return Obstacle(reason, f"{_CHECK_SIMULATOR[:1].upper()}{_CHECK_SIMULATOR[1:]}. Then diagnose again.")
+
+
+def _unexplained_joints(simulator: Diagnosis) -> list[str]:
+    """Joints on which much of the simulator's torque remains, and more than noise."""
+    joints = []
+    for name in simulator.last.experiment.equation.joints:
+        rms = simulator.after.torque[name]
+        torque = simulator.last.evaluation.torque_std[name]
+        noise = _MAX_OVER_FLOOR * simulator.floor[name] if simulator.is_floor_known else 0.0
+        limit = min(max(_MAX_UNEXPLAINED * torque, noise), torque)  # more than the torque is no noise
+        if torque and rms > limit:
+            joints.append(name)
+    return joints
+
+
+def _unexplained_notices(simulator: Diagnosis) -> Iterator[Notice]:
+    """Notices about joints whose torque in the simulator's logs the model's bodies do not explain."""
+    last = simulator.last
+    for name in _unexplained_joints(simulator):
+        unit = last.experiment.model.units[name]
+        error = f"the error is {simulator.after.torque[name]:.3g} {unit} RMS"
+        torque = f"the torque {last.evaluation.torque_std[name]:.3g} {unit}"
+        message = f"the URDF's bodies do not explain the simulator's torque: {error}, {torque}"
+        yield Notice("simulator_unexplained", "warning", name, message, _CHECK_SIMULATOR)
+
+
+def _unexplained_gap(before: GapLevel, robot: Diagnosis) -> Obstacle | None:
+    """An error of the simulator's model far above the noise floor although no change was found; None if it is near."""
+    for name in robot.last.experiment.equation.joints:
+        negligible = _NEGLIGIBLE * robot.last.evaluation.torque_std[name]
+        if before.torque[name] > max(_MAX_OVER_FLOOR * robot.floor[name], negligible):
+            advice = (
+                "See the effects that need no change in diagnosis.html: those with large standard errors in the "
+                "simulator are not determined by its logs. Log another motion in the simulator, and diagnose again."
+            )
+            return Obstacle("the simulator's error is far above the noise floor, and no difference explains it", advice)
+    return None
+
+
+def _difference(pair: LogPair, units: Mapping[str, str]) -> str:
+    """Difference of the positions in two logs, as a clause; by the unit of each joint's torque."""
+    position_units = dict.fromkeys("m" if unit == "N" else "rad" for unit in units.values())
+    unit = " or ".join(position_units)
+    difference = f"the positions differ by {pair.position['overall']:.3g} {unit} RMS"
+    return f"{difference}, and the robot moves by {pair.motion['overall']:.3g} {unit} RMS"
+
+
+def _pair_notices(pairs: Sequence[LogPair], units: Mapping[str, str]) -> Iterator[Notice]:
     """Notices about pairs of logs that can hardly be of the same commands."""
     for pair in pairs:
         if not pair.moves_alike:
-            names = f"{pair.measured.name} and {pair.simulated.name}"
-            difference = f"their positions differ by {pair.position['overall']:.3g} RMS"
-            motion = f"the robot moves by {pair.motion['overall']:.3g} RMS"
-            message = f"{names} do not show the same motion: {difference}, while {motion}"
+            names = f"{pair.measured} and {pair.simulated}"
+            message = f"{names} do not show the same motion: {_difference(pair, units)}"
             yield Notice("pair_differs", "warning", None, message, "play the same commands in the simulator")
 
 
 def _simulator_notices(simulator: Diagnosis) -> Iterator[Notice]:
-    """Notices about a simulator whose logs have faults, or whose logs the model's bodies do not explain."""
+    """Notices about a simulator whose logs have faults, or show other bodies than the model's."""
     for fault in simulator.faults:
         if fault.severity != "note":
+            if fault.code in _IN_ROBOT_LOGS_ONLY:
+                advice = "correct it where the simulator logs it: `log.scale` applies to the robot's logs only"
+                fault = replace(fault, advice=advice)
             yield fault.about(f"simulator, {fault.subject}" if fault.subject else "simulator")
     last = simulator.last
-    advice = "check that the simulator runs this URDF, with the same gravity, and logs the torque at the joints"
-    for name, rms in simulator.after.torque.items():
-        torque = last.evaluation.torque_std.get(name)
-        if torque and rms > _MAX_UNEXPLAINED * torque:
-            message = (
-                f"the URDF's bodies do not explain the simulator's torque: {rms:.3g} of {torque:.3g} "
-                f"{last.experiment.model.units[name]} RMS remain"
-            )
-            yield Notice("simulator_unexplained", "warning", name, message, advice)
     found = [step.entry for step in simulator.steps if step.entry is not None]
     for entry in found:
         effect = effect_from_entry(entry, last.experiment.model)
@@ -381,7 +484,7 @@ def _simulator_notices(simulator: Diagnosis) -> Iterator[Notice]:
             unit = effect.parameter_units().get(parameter, "")
             size = f"{parameter} {size} {unit}".rstrip()
             message = f"the simulator's bodies are not those of the URDF: its logs show {name} ({size})"
-            yield Notice("simulator_bodies_differ", "warning", target, message, advice)
+            yield Notice("simulator_bodies_differ", "warning", target, message, _CHECK_SIMULATOR)
 
 
 def _changes_bodies(effect: NamedEffect, model: RobotModel) -> bool:

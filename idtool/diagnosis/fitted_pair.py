@@ -61,15 +61,20 @@ class FittedTerm:
         Its entry in the configuration; None for one under ``friction``.
     theta, covariance
         Its coefficients, shape (m,), and the covariance of their errors, shape (m, m).
+    is_borrowed
+        True if the effect is one of the other model, from which its nonlinear parameters are taken.
     """
 
     effect: NamedEffect
     entry: EffectEntry | None
     theta: Array
     covariance: Array
+    is_borrowed: bool = False
 
     def parameters(self) -> dict[str, tuple[Any, Any]]:
-        """Values and standard errors by name."""
+        """Values and standard errors by name, of the parameters that were fitted or configured."""
+        if self.is_borrowed:
+            return dict(self.effect.parameters(self.theta, self.covariance))
         values: dict[str, tuple[Any, Any]] = {}
         for parameter in self.effect.nonlinear_parameters:
             if parameter.optional_maximum is not None:
@@ -105,8 +110,8 @@ class FittedPair:
         robot = _with_refitted_delay(robot, progress)
         self.simulator_fit = _with_effects_of(simulator, robot, progress)
         self.robot_fit = _with_effects_of(robot, simulator, progress)
-        self.simulator_terms = _terms(self.simulator_fit)
-        self.robot_terms = _terms(self.robot_fit, self.simulator_terms)
+        self.simulator_terms = _terms(self.simulator_fit, simulator)
+        self.robot_terms = _terms(self.robot_fit, robot, self.simulator_terms)
 
     @property
     def keys(self) -> list[TermKey]:
@@ -172,16 +177,29 @@ def _configured_error(given: Any) -> Any:
     return given.get("standard_error") if isinstance(given, Mapping) else None
 
 
-def _terms(fitted: Fit, other: Mapping[TermKey, FittedTerm] | None = None) -> dict[TermKey, FittedTerm]:
-    """Effects of a fitted model besides the bodies; keys as in `numbered_terms`."""
+def _terms(fitted: Fit, own: Fit, other: Mapping[TermKey, FittedTerm] | None = None) -> dict[TermKey, FittedTerm]:
+    """Effects of a fitted model besides the bodies.
+
+    Parameters
+    ----------
+    fitted
+        The fitted model.
+    own
+        The same without the effects of the other model.
+    other
+        Effects of the other model, by which several of a kind are numbered, see `numbered_terms`.
+    """
     experiment = fitted.experiment
+    own_keys = {effect.key for effect in own.experiment.equation.effects if isinstance(effect, NamedEffect)}
     entries = {effect_from_entry(entry, experiment.model).key: entry for entry in experiment.config.effects}
     terms = []
     for effect, part in experiment.equation.effect_slices():
         if not isinstance(effect, NamedEffect):
             continue
+        theta = fitted.estimate.theta[part]
         covariance = fitted.uncertainty.covariance[part, part]
-        terms.append(FittedTerm(effect, entries.get(effect.key), fitted.estimate.theta[part], covariance))
+        is_borrowed = effect.key not in own_keys and effect.background_entry() is None
+        terms.append(FittedTerm(effect, entries.get(effect.key), theta, covariance, is_borrowed))
     return numbered_terms(terms, other or {})
 
 
@@ -224,10 +242,10 @@ def _matches(terms: Sequence[FittedTerm], other: Mapping[TermKey, FittedTerm]) -
 
 def _with_effects_of(fitted: Fit, other: Fit, progress: Progress) -> Fit:
     """A fit with the effects of another besides its own: those with coefficients, and those that every log has."""
-    present = _terms(fitted)
+    present = _terms(fitted, fitted)
     entries = list(fitted.experiment.config.effects)
     moving = []
-    for key, term in _terms(other, present).items():
+    for key, term in _terms(other, other, present).items():
         if key in present or term.entry is None:
             continue
         background = term.effect.background_entry()

@@ -26,11 +26,15 @@ def comparison_report(comparison: Comparison) -> AgainstReport:
         position_after=plain_data(comparison.after.position),
         simulator_rms=plain_data(comparison.simulated.after.torque),
         simulator_effects=[effect_report(simulator, entry) for entry in entries],
+        inconclusive=comparison.obstacle.reason if comparison.obstacle else "",
+        advice=comparison.obstacle.advice if comparison.obstacle else "",
         summary="",
     )
     unit = common_unit(simulator.experiment.model.units)
-    stopped = comparison.measured.stopped or comparison.simulated.stopped
-    sentences = against_summary(report, unit, comparison.measured.floor["overall"], stopped)
+    measured = comparison.measured
+    stopped = measured.stopped or comparison.simulated.stopped
+    floor = measured.floor["overall"] if measured.is_floor_known else None
+    sentences = against_summary(report, unit, floor, stopped)
     return report.model_copy(update={"summary": sentences})
 
 

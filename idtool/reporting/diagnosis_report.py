@@ -86,7 +86,10 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str, comparison: Comparison 
         summary="",
         next=(),
     )
-    return report.model_copy(update={"summary": summary(report), "next": tuple(next_steps(report))})
+    report = report.model_copy(update={"summary": summary(report)})  # of the robot's logs by themselves
+    if comparison and comparison.obstacle and report.verdict in ("explained", "no_disagreement"):
+        report = report.model_copy(update={"verdict": "partly_explained"})
+    return report.model_copy(update={"next": tuple(next_steps(report))})
 
 
 def _data_fault(fault: Notice) -> DataFault:

@@ -173,7 +173,7 @@ def _final_motion(report: DiagnosisReport) -> str:
     return ", but that of the final model is better than that of the original one"
 
 
-def against_summary(report: AgainstReport, unit: str, floor: float, stopped: str) -> str:
+def against_summary(report: AgainstReport, unit: str, floor: float | None, stopped: str) -> str:
     """The difference between robot and simulator in a sentence or two.
 
     Parameters
@@ -183,17 +183,22 @@ def against_summary(report: AgainstReport, unit: str, floor: float, stopped: str
     unit
         Unit of the torque of all joints.
     floor
-        Noise floor of the robot's logs, over all joints.
+        Noise floor of the robot's logs, over all joints; None: it is not known.
     stopped
         Reason why the search for effects ended before it was complete, a clause; empty if it was complete.
     """
-    incomplete = f"The comparison is incomplete: {_outcome(stopped)}. " if stopped else ""
+    caution = ""
+    if stopped:
+        caution = f"The comparison is incomplete: {_outcome(stopped)}. "
+    elif report.inconclusive:
+        caution = f"The comparison is not conclusive: {report.inconclusive}. "
     before = report.torque_before["overall"] or 0.0
     after = report.torque_after["overall"] or 0.0
     if not report.changes:
+        noise = "the noise floor is not known" if floor is None else f"the noise floor is {number(floor)} {unit}"
         return (
-            f"{incomplete}No change to make in the simulator was found. The torque error of its model on the robot's "
-            f"logs is {number(before)} {unit} RMS, and the noise floor is {number(floor)} {unit}."
+            f"{caution}No change to make in the simulator was found. The torque error of its model on the robot's "
+            f"logs is {number(before)} {unit} RMS, and {noise}."
         )
     effects = [change for change in report.changes if change.effect != RIGID_BODY]
     bodies = [owner_name(change) for change in report.changes if change.effect == RIGID_BODY]
@@ -204,7 +209,7 @@ def against_summary(report: AgainstReport, unit: str, floor: float, stopped: str
     names = _join_words(differences)
     changes = "this change" if len(report.changes) == 1 else "these changes"
     return (
-        f"{incomplete}Simulator and robot differ in {names}. With {changes}, the simulator's torque error on the "
+        f"{caution}Simulator and robot differ in {names}. With {changes}, the simulator's torque error on the "
         f"robot's logs goes from {number(before)} to {number(after)} {unit} RMS."
     )
 
@@ -235,7 +240,9 @@ def next_steps(report: DiagnosisReport, folder: Path | None = None) -> list[str]
         steps.append(f"{capitalized(what)}: see {RESIDUAL_MAPS}.")
     if owners and report.inertia == "fixed" and report.against is None:
         steps.append("The inertia of the URDF was kept. If it may be wrong, diagnose with --inertia refit.")
-    if report.against is not None and report.against.changes and not report.stopped:
+    if report.against is not None and report.against.inconclusive:
+        steps.append(report.against.advice)
+    elif report.against is not None and report.against.changes and not report.stopped:
         command = shlex.join(["idtool", "export", str(out), "--patch", "FILE"])
         steps.append(
             f"Make the changes in the simulator: `{command}` writes a copy of its MJCF or URDF with those that the "

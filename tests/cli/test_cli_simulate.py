@@ -216,6 +216,19 @@ def test_what_it_says(short: Path, config: Path, tmp_path: Path) -> None:
     assert idtool("simulate", LEG, short, "--quiet", folder=tmp_path).out == ""
 
 
+def test_jumps_and_a_motion_that_runs_away_are_named(short: Path, config: Path, tmp_path: Path) -> None:
+    codes = {}
+    for options in ((), ("--window", "0"), ("--track", "--config", config)):
+        result = simulated(LEG, short, *options, "--out", "out.csv", folder=tmp_path)
+        codes[options[:1]] = [notice["code"] for notice in result["notices"]]
+    assert codes == {(): ["simulation_restarted"], ("--window",): [], ("--track",): []}
+    (tmp_path / "free.yaml").write_text("friction: {viscous: false, coulomb: false}\n")
+    result = simulated(LEG, short, "--config", "free.yaml", "--window", "0", "--out", "out.csv", folder=tmp_path)
+    (notice,) = [notice for notice in result["notices"] if notice["code"] == "simulation_ran_away"]
+    assert re.search(r"differs by \d[\d.e+]* rad RMS, and the joints move by 0\.\d+ rad RMS", notice["message"])
+    assert "use --closed-loop, --track or a short --window" in notice["advice"]
+
+
 def test_rollouts_that_run_away_end_where_they_did(short: Path, tmp_path: Path) -> None:
     """Links far too light for the torque, without rotors and friction."""
 

@@ -14,6 +14,9 @@ import yaml
 from commands import LEG, TRAIN, VALIDATE, idtool, refuse
 from simulator_pair import JOINTS, KD, KP, MJCF, ROBOT, URDF, Machine, robot, write_log, write_pair
 
+from idtool.data.pairing import LogPair
+from idtool.diagnosis.comparison import _pair_notices
+
 DELAY = 0.004  # s
 EFFECTS = ("--effects", "rotor_inertia,time_delay,payload", "--no-simulation")
 CHANGED = {
@@ -80,6 +83,7 @@ def test_the_largest_change_comes_first_and_the_gap_closes(report: dict[str, Any
     assert log["torque_rms"]["overall"] > 0.5
     assert "the simulator's torque error on the robot's logs goes from" in against["summary"]
     assert against["simulator_effects"] == []
+    assert (against["inconclusive"], against["advice"]) == ("", "")
 
 
 def test_the_page_shows_the_changes(pair: Path) -> None:
@@ -146,7 +150,7 @@ def test_a_robot_that_is_the_simulator_needs_no_change(pair: Path) -> None:
     again = Machine(MJCF, noise=0.02).play(12.0, seed=1)
     write_log(pair / "same.csv", again)
     found = diagnosed(pair, "same.csv", "--against", "simulator/run1.csv", "--out", "same", *EFFECTS)["against"]
-    assert found["changes"] == []
+    assert (found["changes"], found["inconclusive"]) == ([], "")
     start = "No change to make in the simulator was found. The torque error of its model on the robot's logs is "
     assert found["summary"].startswith(start)
     done = idtool("export", "same", "--patch", "scene.xml", "--out", "same.xml", folder=pair)
@@ -161,8 +165,11 @@ def test_a_robot_that_is_the_simulator_needs_no_change(pair: Path) -> None:
 
 
 @pytest.mark.slow
-def test_changes_that_only_make_up_for_each_other_are_not_asked_for(tmp_path: Path) -> None:
+def test_changes_that_only_make_up_for_each_other_are_not_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The sample leg as its own simulator: the URDF's bodies are wrong, so each log gets effects of its own."""
+    monkeypatch.setattr(LogPair, "is_unrelated", False)
     logs = (TRAIN, "--against", VALIDATE)
     done = idtool("diagnose", LEG, *logs, "--no-simulation", "--json", "--out", tmp_path)
     against = done.json["against"]
@@ -209,11 +216,58 @@ def test_a_simulator_of_another_robot_is_named(heavy: Path) -> None:
     assert "payload (mass 0.5" in notice["message"]
 
 
-def test_logs_of_different_motions_are_named(pair: Path) -> None:
-    write_log(pair / "other.csv", Machine(MJCF).play(12.0, seed=7))
-    found = diagnosed(pair, "robot/run1.csv", "--against", "other.csv", "--out", "unlike", *EFFECTS)
-    (notice,) = [notice for notice in found["notices"] if notice["code"] == "pair_differs"]
-    assert "run1.csv and other.csv do not show the same motion" in notice["message"]
+def test_logs_of_different_motions_are_refused_before_any_search(
+    pair: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("arm.urdf", "robot"):
+        source = pair / name
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, tmp_path / name)
+    (tmp_path / "simulator").mkdir()
+    monkeypatch.setattr("idtool.diagnosis.comparison.diagnose", None)
+    other = Machine(MJCF).play(12.0, seed=7)
+    ran_away = other.copy()
+    ran_away[:, 1:4] += np.square(other[:, :1])
+    for rows in (other, ran_away):
+        write_log(tmp_path / "simulator" / "run1.csv", rows)
+        arguments = ("diagnose", "arm.urdf", "robot/run1.csv", "--against", "simulator", "--out", "out")
+        naming = "simulator/run1.csv: does not show the motion of the robot's log robot/run1.csv: the positions differ"
+        refuse(tmp_path, *arguments, naming=naming)
+        shutil.rmtree(tmp_path / "out")
+
+
+def test_a_log_with_jumps_makes_the_comparison_inconclusive(pair: Path) -> None:
+    """As that of a simulation that restarts from the measured state every 2 s."""
+    table = pair / "simulator" / "run1.csv"
+    rows = np.loadtxt(table, delimiter=",", skiprows=1)
+    rows[:, 1:4] += 0.05 * (rows[:, :1] % 2)
+    write_log(pair / "jumps.csv", rows)
+    found = diagnosed(pair, "robot/run1.csv", "--against", "jumps.csv", "--out", "jumps", *EFFECTS)
+    against = found["against"]
+    assert found["verdict"] == "partly_explained"
+    assert "have jumps, as after restarts (5 jumps of q on yaw, " in against["inconclusive"]
+    assert against["summary"].startswith(f"The comparison is not conclusive: {against['inconclusive']}. ")
+    assert found["next"][0] == against["advice"]
+    assert "use `--closed-loop`, `--track` or `--window 0`" in against["advice"]
+    assert not any(text.startswith(("Make the changes", "Check the final model")) for text in found["next"])
+    page = (pair / "jumps" / "diagnosis.html").read_text()
+    assert '<li class="note"><b>Against the simulator.</b> The comparison is not conclusive' in page
+
+
+def test_logs_of_motions_that_are_hardly_alike_are_named() -> None:
+    log_pair = LogPair(
+        measured=Path("robot/log.csv"),
+        simulated=Path("simulator/log.csv"),
+        offset=0.0,
+        seconds=10.0,
+        torque=None,
+        position={"yaw": 0.4, "overall": 0.4},
+        motion={"yaw": 0.5, "overall": 0.5},
+    )
+    (notice,) = _pair_notices([log_pair], {"yaw": "N·m"})
+    assert notice.message == (
+        "robot/log.csv and simulator/log.csv do not show the same motion: the positions differ by 0.4 rad RMS, and the "
+        "robot moves by 0.5 rad RMS"
+    )
 
 
 def test_the_delay_of_a_position_controller_is_compared(tmp_path: Path) -> None:

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from disturbed import URDF, experiment_of, nothing, silent, torque_on_joint
 from numpy.typing import NDArray
 
-from idtool.diagnosis.comparison import _changes, _simulator_notices
+from idtool.common.notice import Notice
+from idtool.diagnosis.comparison import (
+    _changes,
+    _simulator_notices,
+    _unexplained_gap,
+    _unexplained_notices,
+    _unexplained_simulator,
+)
 from idtool.diagnosis.diagnose import Options, diagnose
-from idtool.diagnosis.fitted_pair import FittedPair, FittedTerm, numbered_terms
+from idtool.diagnosis.fitted_pair import FittedPair, FittedTerm, GapLevel, numbered_terms
+from idtool.diagnosis.records import Diagnosis, ErrorSummary
 from idtool.dynamics.effects import effect_from_entry
 from idtool.estimation.fit import Fit, fit
 from idtool.robot.config import EffectEntry, parse_config
@@ -116,10 +126,67 @@ def test_a_left_out_share_is_no_difference(tmp_path: Path) -> None:
         assert change.reason == "differs by less than 3 standard errors"
 
 
-def test_bodies_that_the_configuration_changes_are_those_of_the_simulator(tmp_path: Path) -> None:
+def test_a_value_that_was_not_fitted_to_the_logs_of_one_side_is_not_its_own(tmp_path: Path) -> None:
+    """A friction that only the robot has: the simulator's logs say how large it is there, not at which velocity."""
+    velocity = {"value": 0.3, "standard_error": 0.01}
+    stribeck = {"effect": "stribeck_friction", "joint": "j1", "parameters": {"stribeck": 1.0, "velocity": velocity}}
+    with_friction = torque_on_joint(0, lambda t, q, v, tau: np.exp(-np.square(v / 0.3)) * np.tanh(v / 0.01))
+    simulator = fitted(tmp_path / "simulator")
+    robot = fitted(tmp_path / "robot", stribeck, hidden=with_friction)
+    for pair, own, other in (
+        (FittedPair(simulator, robot, silent), "robot", "simulator"),
+        (FittedPair(robot, simulator, silent), "simulator", "robot"),
+    ):
+        changes, changed = _changes(pair)
+        (change,) = [change for change in changes if change.effect == "stribeck_friction"]
+        assert change.reason == ""
+        quantity = change.quantities["velocity"]
+        assert (getattr(quantity, own), getattr(quantity, f"{own}_error")) == (0.3, 0.01)
+        assert (getattr(quantity, other), getattr(quantity, f"{other}_error")) == (None, None)
+        np.testing.assert_allclose(getattr(change.quantities["stribeck"], other), 0.0, atol=0.05)
+        assert pair.gap_level(changed, simulate=False).torque["j1"] < 0.1
+
+
+@pytest.fixture(scope="module")
+def simulator(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    """Diagnosis of a simulator of the arm, with a tilt of the configuration."""
     tilt = {"effect": "gravity_tilt", "parameters": {"gravity": [0.0, 0.0, -9.81]}}
-    experiment = experiment_of(tmp_path, nothing, effects=[tilt])
+    experiment = experiment_of(tmp_path_factory.mktemp("simulator"), nothing, effects=[tilt])
     options = Options(inertia="fixed", effects=("payload",), simulate=False)
-    simulator = diagnose(experiment, options, silent)
+    return diagnose(experiment, options, silent)
+
+
+def test_bodies_that_the_configuration_changes_are_those_of_the_simulator(simulator: Diagnosis) -> None:
     assert simulator.steps == ()
     assert list(_simulator_notices(simulator)) == []
+    assert list(_unexplained_notices(simulator)) == []
+    assert _unexplained_simulator(simulator) is None
+
+
+def test_faults_of_the_simulator_are_not_corrected_in_the_configuration(simulator: Diagnosis) -> None:
+    fault = Notice("wrong_unit", "problem", "j1", "q is in degrees", "set its `log.scale` to 0.0174533")
+    (notice,) = _simulator_notices(replace(simulator, faults=(fault,)))
+    assert (notice.subject, notice.message) == ("simulator, j1", "q is in degrees")
+    assert "`log.scale` applies to the robot's logs only" in notice.advice
+
+
+def test_a_comparison_is_not_conclusive_if_the_simulator_is_not_explained_by_its_model(simulator: Diagnosis) -> None:
+    for error, noise, is_explained in ((0.01, 0.01, True), (3.0, 2.0, True), (3.0, 0.01, False), (99.0, 98.0, False)):
+        errors = ErrorSummary({"j1": error, "j2": 0.01, "overall": error}, None, None)
+        unlike = replace(simulator, after=errors, floor={"j1": noise, "j2": 0.01, "overall": noise})
+        obstacle = _unexplained_simulator(unlike)
+        assert (obstacle is None) == is_explained
+        if obstacle is not None:
+            assert obstacle.reason == "the simulator's own logs are not explained on j1"
+            (notice,) = _unexplained_notices(unlike)
+            assert f"the error is {error:g} N·m RMS, the torque " in notice.message
+
+
+def test_no_change_is_no_agreement_if_the_error_is_far_above_the_noise_floor(simulator: Diagnosis) -> None:
+    floor = simulator.floor
+    near = GapLevel({name: 1.2 * noise for name, noise in floor.items()}, None)
+    far = GapLevel({name: 20 * noise for name, noise in floor.items()}, None)
+    assert _unexplained_gap(near, simulator) is None
+    obstacle = _unexplained_gap(far, simulator)
+    assert obstacle is not None
+    assert obstacle.reason == "the simulator's error is far above the noise floor, and no difference explains it"

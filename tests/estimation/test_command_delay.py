@@ -217,10 +217,7 @@ def test_without_a_fit_a_delay_of_auto_is_none_and_said(tmp_path: Path) -> None:
     logged = idtool.Log.from_arrays("run", log.t, log.joints, **log.signals)
     model = idtool.Model(URDF, tmp_path / "leg.yaml")
     result = idtool.validate(model, logged, simulation=False)
-    assert any(
-        note.startswith("controller.delay: the delay is auto, but this command does not fit it")
-        for note in result.warnings
-    )
+    assert any(note.startswith("controller.delay: the delay is not known, so 0 is used") for note in result.warnings)
     identified = idtool.fit(model, logged, quick=True).model
     assert not any("auto" in note for note in idtool.validate(identified, logged, simulation=False).warnings)
 

@@ -15,6 +15,9 @@ from idtool.common.exceptions import ModelError
 from idtool.reporting.export import Export, patch_file
 from idtool.reporting.results.diagnosis import ChangeReport, ComparedParameter
 
+STIFF = """<default class="stiff"><joint frictionloss="0.3"/><default class="stiffer"/></default>
+  </default>
+  <worldbody>"""
 FRICTION = {
     "yaw": {"viscous": 0.3, "coulomb": 0.2},
     "shoulder": {"viscous": 0.1, "coulomb": 0.0},
@@ -93,14 +96,34 @@ def test_values_that_the_file_has_already_are_no_changes(tmp_path: Path) -> None
         assert [part.what for part in again.not_carried] == [part.what for part in first.not_carried]
 
 
-def test_a_value_that_is_not_written_may_be_another_default(tmp_path: Path) -> None:
-    none = change("coulomb_friction", "shoulder", coulomb=(0.1, 0.0))
-    result = export(tmp_path, MJCF, [none])
-    assert [part.detail for part in result.carried] == ["frictionloss default → 0.0"]
-    assert loaded(result).joint("shoulder").frictionloss[0] == 0.0
-    start, stop = MJCF.index("<default>"), MJCF.index("<worldbody>")
-    plain = (MJCF[:start] + MJCF[stop:]).replace(' childclass="arm"', "")
-    assert export(tmp_path, plain, [none]).text.decode() == plain
+def test_a_value_that_is_not_written_is_that_of_the_default_class(tmp_path: Path) -> None:
+    """As MuJoCo reads it: classes inherit, and the innermost body or frame gives the class."""
+    for old, new in (
+        ("", ""),
+        ('<body name="upper"', '<body name="upper" childclass="stiff"'),
+        ('<joint name="shoulder"', '<joint name="shoulder" class="stiff"'),
+        ('<joint name="shoulder"', '<joint name="shoulder" class="main"'),
+        (' childclass="arm"', ""),
+        ('<joint damping="0.2"/>', '<joint damping="0.2"/></default><default class="main"><joint damping="0.4"/>'),
+    ):
+        text = MJCF.replace("</default>\n  <worldbody>", STIFF).replace(old, new)
+        present = mujoco.MjModel.from_xml_string(text).joint("shoulder")
+        for effect, parameter, attribute in (
+            ("coulomb_friction", "coulomb", "frictionloss"),
+            ("viscous_friction", "viscous", "damping"),
+        ):
+            value = getattr(present, attribute).ravel()[0]
+            result = export(tmp_path, text, [change(effect, "shoulder", **{parameter: (value, 0.7)})])
+            assert [part.detail for part in result.carried] == [f"{attribute} {value:g} → 0.7"]
+            assert getattr(loaded(result).joint("shoulder"), attribute).ravel()[0] == 0.7
+            same = change(effect, "shoulder", **{parameter: (0.3, value)})
+            assert export(tmp_path, text, [same]).text.decode() == text
+
+
+def test_a_default_of_another_file_is_not_known(tmp_path: Path) -> None:
+    text = MJCF.replace("<default>", '<include file="defaults.xml"/><default>')
+    result = export(tmp_path, text, [change("rotor_inertia", "elbow", inertia=(None, 0.1))])
+    assert [part.detail for part in result.carried] == ["armature default → 0.1"]
 
 
 @pytest.mark.parametrize("old", ["1.0", "1.0000000001", "1.001"])
@@ -229,11 +252,12 @@ def test_an_inertial_in_another_frame_is_left_alone(tmp_path: Path) -> None:
     result = export(tmp_path, MJCF, [body])
     at = loaded(result).body("lower")
     assert (at.mass[0], at.ipos[2]) == (1.2, -0.13)
-    turned = MJCF.replace('pos="0 0 -0.12"', 'pos="0 0.12 0"')
+    turned = MJCF.replace('pos="0 0 -0.12"', 'pos="0 0.123456789 0"')
     left = export(tmp_path, turned, [body])
     assert left.text.decode() == turned
     (part,) = left.not_carried
-    assert "so its frame is unknown" in part.detail
+    expected = "the file's inertial, 1.000 kg at [0.0 0.1235 0.0] m, is not the URDF's, 1.000 kg at [0.0 0.0 -0.12] m"
+    assert part.detail == f"{expected}, so its frame is unknown"
     drawn = MJCF.replace('<inertial pos="0 0 -0.12" mass="1" diaginertia="0.008 0.008 0.001"/>', "")
     (part,) = export(tmp_path, drawn, [body]).not_carried
     assert part.detail == "the file has no inertial of this body"
@@ -262,9 +286,11 @@ def test_names_elsewhere_in_the_file_are_not_joints(tmp_path: Path) -> None:
 
 def test_what_has_no_place_is_listed_with_both_values(tmp_path: Path) -> None:
     stribeck = change("stribeck_friction", JOINTS[0], stribeck=(None, 0.5), velocity=(None, 0.1))
+    slow = change("stribeck_friction", "elbow", stribeck=(0.001, 0.5), velocity=(None, 0.1))  # not fitted there
     delay = change("command_delay", None, delay=(0.001, 0.006))
-    result = export(tmp_path, MJCF, [stribeck, delay])
+    result = export(tmp_path, MJCF, [stribeck, slow, delay])
     assert result.text.decode() == MJCF
-    assert [part.of for part in result.not_carried] == ["yaw", "the controller"]
+    assert [part.of for part in result.not_carried] == ["yaw", "elbow", "the controller"]
     assert "stribeck none → 0.5000, velocity none → 0.1000" in result.not_carried[0].detail
-    assert "delay 0.001000 → 0.006000" in result.not_carried[1].detail
+    assert "stribeck 0.001000 → 0.5000, velocity 0.1000;" in result.not_carried[1].detail
+    assert "delay 0.001000 → 0.006000" in result.not_carried[2].detail

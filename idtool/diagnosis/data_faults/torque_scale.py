@@ -56,7 +56,7 @@ def check_torques(experiment: Experiment) -> None:
                 ratios = (
                     f"{over_urdf:.1g} times that of the URDF's bodies and {over_others:.1g} times any other joint's"
                 )
-                advice = "correct its unit with `log.scale` in the configuration"
+                advice = "correct its unit in the log or, of the robot's logs, with `log.scale` in the configuration"
                 raise LogError(log.path, f"tau of joint {names[j]} cannot be right: it is {ratios}; {advice}")
 
 

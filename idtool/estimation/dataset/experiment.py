@@ -91,7 +91,7 @@ class Experiment:
         controller = self.config.controller
         by_command = any(run.signals.controller.joints.any() for run in self.runs)
         if by_command and controller is not None and controller.known_delay is None:
-            message = "the delay is auto, but this command does not fit it, so 0 is used; idtool fit determines it"
+            message = "the delay is not known, so 0 is used; idtool fit determines it"
             notices.append(Notice("command_delay_not_fitted", "warning", "controller.delay", message))
         for run in self.runs:
             for notice in (*run.signals.log.notices, *run.signals.notices):

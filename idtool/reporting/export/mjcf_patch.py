@@ -14,7 +14,7 @@ from idtool.common.exceptions import ModelError
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.file_patch import DIGITS, FilePatch, exact_text, number_text, vector_text
 from idtool.reporting.export.patch_plan import BodyChange, JointChange, PatchPlan
-from idtool.reporting.export.present_values import has_mjcf_inertia, has_value, is_turned
+from idtool.reporting.export.present_values import default_attributes, has_mjcf_inertia, has_value, is_turned
 from idtool.reporting.number_text import four_digits
 from idtool.robot.inertia import round_to_digits, rounded_inertial, symmetric_entries
 from idtool.robot.urdf.text import Edit, Element, apply_edits, set_attribute
@@ -41,19 +41,19 @@ class MjcfPatch(FilePatch):
         self._joints = {element.name: element for element in self._world if element.tag == "joint"}
         self._bodies = {element.name: element for element in self._world if element.tag == "body"}
         self._has_include = b"<include" in text
-        self._has_default = b"<default" in text or self._has_include
+        self._defaults = default_attributes(self.root, "joint")
         self._edits: dict[tuple[int, str], Edit] = {}  # by element and attribute, which several effects may change
 
     @override
     def set_joint(self, change: JointChange) -> None:
         element = self.find_joint(self._joints, change.part.of)
-        default = None if self._has_default else "0"
         details = []
         for name in change.attributes:
             value = self._joint_value(element, change.part.of, name)
-            if not has_value(element.attributes.get(name, default), value, DIGITS):
+            present = self._present_value(element, name)
+            if not has_value(present, value, DIGITS):
                 self._edits[element.start, name] = set_attribute(self.text, element, name, value)
-                details.append(f"{name} {element.attributes.get(name, 'default')} → {value}")
+                details.append(f"{name} {present or 'default'} → {value}")
         if details:
             self.carried.append(replace(change.part, detail=", ".join(details)))
 
@@ -96,6 +96,21 @@ class MjcfPatch(FilePatch):
     @override
     def apply_edits(self) -> bytes:
         return apply_edits(self.text, _merged(self._edits.values()))
+
+    def _present_value(self, joint: Element, name: str) -> str | None:
+        """An attribute of a joint, its own or that of its default class; None if another file may have it."""
+        default = None if self._has_include else "0"
+        own_class = joint.attributes.get("class", self._child_class(joint))
+        inherited = self._defaults.get(own_class, {})
+        return joint.attributes.get(name, inherited.get(name, default))
+
+    def _child_class(self, joint: Element) -> str:
+        """Default class of a joint that names none: that of the innermost body around it that gives one."""
+        child_class = ""
+        for element in self._world:
+            if element.start < joint.start < element.stop:
+                child_class = element.attributes.get("childclass", child_class)
+        return child_class
 
     def _joint_value(self, joint: Element, joint_name: str, name: str) -> str:
         """New value of an attribute of a joint."""
@@ -149,10 +164,9 @@ class MjcfPatch(FilePatch):
         is_same_mass = abs(mass - change.mass) <= _MASS_TOLERANCE * change.mass
         if is_same_mass and np.abs(com - change.com).max() <= _COM_TOLERANCE:
             return ""
-        expected_com = exact_text(round_to_digits(change.com, 4))
         return (
-            f"the file's inertial, {four_digits(mass)} kg at [{exact_text(com)}] m, is not {change.source}, "
-            f"{four_digits(change.mass)} kg at [{expected_com}] m, so its frame is unknown"
+            f"the file's inertial, {_mass_and_com(mass, com)}, is not {change.source}, "
+            f"{_mass_and_com(change.mass, change.com)}, so its frame is unknown"
         )
 
     def _read_numbers(self, element: Element, name: str, default: str) -> Array:
@@ -174,6 +188,11 @@ class MjcfPatch(FilePatch):
             subject = f"{self.path}: {element.tag} {element.name}".rstrip()
             raise ModelError(subject, f"{name} is not {expected}: {written}")
         return numbers
+
+
+def _mass_and_com(mass: float, com: Array) -> str:
+    """Mass and centre of mass, for people."""
+    return f"{four_digits(mass)} kg at [{exact_text(round_to_digits(com, 4))}] m"
 
 
 def _inertial(pi: Array) -> tuple[float, str]:

@@ -215,12 +215,14 @@ class _ForwardEffect:
 
 
 def _forward_effect(change: ChangeReport, side: Literal["simulator", "robot"], model: RobotModel) -> _ForwardEffect:
-    """The effect of a change, as the simulator or the robot has it."""
+    """The effect of a change, as the simulator or the robot has it; a value that was not fitted is the other side's."""
     values = {name: getattr(parameter, side) for name, parameter in change.parameters.items()}
-    given = {name: value for name, value in values.items() if value is not None}
-    if change.effect not in effect_types() or not given:
+    if change.effect not in effect_types() or all(value is None for value in values.values()):
         return _ForwardEffect((), Mechanism(model))
-    entry = EffectEntry(effect=change.effect, joint=change.joint, link=change.link, parameters=given)
+    for name, parameter in change.parameters.items():
+        if values[name] is None:
+            values[name] = parameter.robot if side == "simulator" else parameter.simulator
+    entry = EffectEntry(effect=change.effect, joint=change.joint, link=change.link, parameters=values)
     effect = effect_from_entry(entry, model)
     theta = np.array([c.prior for c in effect.coefficients])
     mechanism = mechanism_of(effect, model)
@@ -255,9 +257,12 @@ def _part(change: ChangeReport, delay: float) -> Part:
         late = "later" if delay > 0 else "earlier"
         detail = f"the torque acts {1e3 * abs(delay):.3g} ms {late} on the robot; change the simulator's controller"
         return Part(change.effect, owner, detail, delay, "s")
+    is_in_simulator = any(parameter.simulator is not None for parameter in change.parameters.values())
     texts = []
     for name, parameter in change.parameters.items():
-        values = [_value_text(value) for value in (parameter.simulator, parameter.robot)]
+        values = [_value_text(parameter.robot)]
+        if parameter.simulator is not None or not is_in_simulator:  # else its logs do not show the value
+            values.insert(0, _value_text(parameter.simulator))
         texts.append(f"{name} {' → '.join(values)} {parameter.unit or ''}".rstrip())
     first = next(iter(change.parameters.values()))
     value = first.robot if isinstance(first.robot, float) else None

@@ -48,6 +48,28 @@ def is_turned(element: Element) -> bool:
     return False
 
 
+def default_attributes(root: Element, tag: str) -> dict[str, Mapping[str, str]]:
+    """Attributes that an MJCF gives the elements of a tag, by default class; "": to those that name no class."""
+    attributes: dict[str, Mapping[str, str]] = {}
+    main: Mapping[str, str] = {}
+    for section in root.with_tag("default"):
+        main = {**main, **_attributes(section, tag)}
+        attributes[section.attributes.get("class", "main")] = main
+        _add_subclasses(section, tag, main, attributes)
+    attributes[""] = main
+    return attributes
+
+
+def _add_subclasses(
+    section: Element, tag: str, inherited: Mapping[str, str], attributes: dict[str, Mapping[str, str]]
+) -> None:
+    """Add the attributes of the classes in a default class, with those that they inherit."""
+    for subclass in section.with_tag("default"):
+        own = {**inherited, **_attributes(subclass, tag)}
+        attributes[subclass.attributes.get("class", "")] = own
+        _add_subclasses(subclass, tag, own, attributes)
+
+
 def has_mjcf_inertia(inertial: Element, pi: Array) -> bool:
     """True if an inertial of MJCF is that of a body; one with turned axes counts as another."""
     attributes = inertial.attributes

@@ -101,7 +101,7 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
         residuals=residual_figures(diagnosis.maps_before, diagnosis.maps_after, units, _MODEL_NAMES, _MODELS_TEXT),
         groups=rows_by_unit(units),
         position_unit=position_units(units),
-        verdict=_VERDICTS[report.verdict],
+        verdict=_verdict(report),
         cards=[_step_view(i, step, report) for i, step in enumerate(report.steps, 1)],
         held_out=held_out,
         removed=[_with_full_stop(sentence) for sentence in report.removed],
@@ -116,6 +116,14 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
         where=f"On the {'held-out data' if held_out else 'data that the model was fitted to'}",
         command=command,
     )
+
+
+def _verdict(report: DiagnosisReport) -> tuple[str, str]:
+    """Level and title of the verdict; if the comparison is not conclusive, of the robot's logs alone."""
+    level, title = _VERDICTS[report.verdict]
+    if report.against is not None and report.against.inconclusive:
+        title = "The robot's logs"
+    return level, title
 
 
 def _worst_joint(report: DiagnosisReport) -> str | None:

@@ -182,9 +182,11 @@ class ResidualMaps(Record):
 class ComparedParameter(Record):
     """A parameter in the simulator and on the robot."""
 
-    simulator: Any = field("Value in the simulator; null: the simulator has no such effect.")
+    simulator: Any = field(
+        "Value in the simulator; null: the simulator has no such effect, or its logs do not show the value."
+    )
     simulator_standard_error: Any = field("Its standard error; null: not known.")
-    robot: Any = field("Value on the robot; null: the robot has no such effect.")
+    robot: Any = field("Value on the robot; null: the robot has no such effect, or its logs do not show the value.")
     robot_standard_error: Any = field("Its standard error; null: not known.")
     unit: str | None = field("Unit; null: none.")
 
@@ -235,6 +237,10 @@ class AgainstReport(Record):
     position_after: ByJointOrNone | None = field("Position error of rollouts with the changes.")
     simulator_rms: ByJointOrNone = field("Torque error of the simulator's model on the simulator's own logs.")
     simulator_effects: tuple[EffectReport, ...] = field("Effects found in the simulator, besides friction.")
+    inconclusive: str = field(
+        "Why the comparison is not conclusive, so that its changes may be wrong or missing; empty if it is conclusive."
+    )
+    advice: str = field("What to do for a conclusive comparison; empty if it is conclusive.")
     summary: str = field("The difference as sentences.")
 
 
@@ -247,7 +253,8 @@ class DiagnosisReport(ReproducibleResult):
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
     inertia: Literal["refit", "fixed"] = field("Whether inertia was identified again at every step or kept fixed.")
     verdict: Literal["no_disagreement", "explained", "partly_explained", "unexplained"] = field(
-        "The verdict; never `no_disagreement` if the noise floor is not known."
+        "The verdict; never `no_disagreement` if the noise floor is not known, and at most `partly_explained` if the "
+        "comparison with a simulator is not conclusive."
     )
     searched: tuple[str, ...] | None = field("Effects that were searched for; null: all.")
     stopped: str = field("Why the search ended before it was complete; empty if it was complete.")

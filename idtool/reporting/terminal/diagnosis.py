@@ -55,7 +55,7 @@ def show_diagnosis(
     if explain:
         _show_rejected(terminal, report.steps)
     if report.against is not None:
-        terminal.say(report.against.summary, "bold")
+        terminal.say(report.against.summary, STYLE["warning"] if report.against.inconclusive else "bold")
         terminal.say("")
         terminal.sections([ChangesSection(), SimulatorGapSection()], report)
     for text in report.next:
