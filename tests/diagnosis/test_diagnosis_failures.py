@@ -35,7 +35,7 @@ from idtool.robot.config import EffectEntry
 EFFECTS = ("parallel_spring", "torque_offset")
 SPRING, OFFSET = ("parallel_spring", "j1"), ("torque_offset", "j2")
 REASON = "was not solved, as this test wants it"
-NOTE = "parallel_spring on j1 cannot be fitted together with the rest of the model: "
+NOTE = "parallel spring on j1 cannot be fitted together with the rest of the model: "
 
 
 @pytest.fixture(scope="module")
@@ -330,8 +330,9 @@ def test_a_search_for_some_effects_says_nothing_of_others(arm: Experiment) -> No
     found = diagnose(arm, Options(effects=("payload",), simulate=False), silent)
     assert found.verdict == "unexplained"
     report = diagnosis_report(found, "refit")
-    assert "no effect searched for explains the difference on j1 and j2" in report.summary
-    assert report.next[0].startswith("No effect searched for explains the remaining residual on j1 and j2")
+    assert "the only effect searched for, payload, does not explain the difference on j1 and j2" in report.summary
+    start = "The only effect searched for, payload, does not explain the remaining residual on j1 and j2"
+    assert report.next[0].startswith(start)
     two = replace(found, searched=("payload", "end_stop"))
     assert "none of the effects searched for explains" in diagnosis_report(two, "refit").summary
 
@@ -366,4 +367,4 @@ def test_an_effect_whose_hypotheses_fail_is_named(arm: Experiment, monkeypatch: 
     monkeypatch.setattr(ParallelSpring, "probes", probes)
     found = diagnosed(arm)
     assert OFFSET in named(found)
-    assert any("parallel_spring" in warning and "RuntimeError" in warning for warning in sentences(found.notices))
+    assert any("parallel spring" in warning and "RuntimeError" in warning for warning in sentences(found.notices))
