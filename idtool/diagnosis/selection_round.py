@@ -28,6 +28,7 @@ from idtool.diagnosis.model_selection import (
     SelectionStep,
     best_by_key,
     block_gains,
+    is_reportable,
     probe_key,
     screened_record,
     select_best,
@@ -66,7 +67,8 @@ _MAX_LOSS_SHARE = 0.2  # of its gains in some blocks, that an effect may lose in
 MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter is at least from zero
 # of a joint's squared residual without any effect: the effects found are assumed accurate to 1 %, squared 1e-4
 _MIN_SAVED_SHARE = 1e-4
-_NEGLIGIBLE_SHARE = 5e-3  # of a joint's rms torque: a smaller effect does not matter
+_MIN_SHARE_OF_TORQUE = 5e-3  # of a joint's rms torque, that an effect must have to be named
+_MIN_SHARE_FITTED_ALONG = 3e-3  # likewise, to be only included in the fit
 _RANGE_EDGE_RATIO = 1.02  # ratio to an end of a range, up to which a value is at that end
 _BOUND_TOLERANCE = 1e-9  # distance from a bound, up to which a coefficient is at it
 
@@ -435,7 +437,8 @@ def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: Lineari
         return "reduces the error in some parts of the log and increases it in others"
     if _worsens_held_out_error(candidate, base):
         return "increases the error on the held-out data"
-    if not _is_relevant(fit, base, initial):
+    min_share = _MIN_SHARE_OF_TORQUE if is_reportable(candidate.probe.effect) else _MIN_SHARE_FITTED_ALONG
+    if not _is_relevant(fit, base, initial, min_share):
         return (
             "explains less than the uncertainty of the effects that were found before, or only a negligible part of "
             "the torque"
@@ -521,14 +524,15 @@ def _is_within_bounds(fit: LinearizedFit, base: LinearizedFit) -> bool:
     return is_present and all(value < c.upper for c, value in new)
 
 
-def _is_relevant(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit) -> bool:
+def _is_relevant(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit, min_share: float) -> bool:
     """True if the squared residual of some joint falls by more than two shares of what the joint has.
 
     One is a share of the squared residual in the initial model: a strong effect whose size is known to a hundredth
-    leaves a hundredth of itself, which is no effect of its own. The other is a share of the squared torque.
+    leaves a hundredth of itself, which is no effect of its own. The other is that of a torque of ``min_share`` of the
+    joint's rms torque.
     """
     # both in units of the base's noise: a fit that uses or rescales the measured torque has another noise of its own
     saved = (base.sse - fit.sse).sum(axis=0) * np.square(base.noise)
     uncertain = _MIN_SAVED_SHARE * initial.sse.sum(axis=0) * np.square(initial.noise)
-    negligible = base.row_counts.sum(axis=0) * np.square(_NEGLIGIBLE_SHARE * base.rms_torque)
+    negligible = base.row_counts.sum(axis=0) * np.square(min_share * base.rms_torque)
     return bool((saved > np.maximum(uncertain, negligible)).any())
