@@ -361,7 +361,7 @@ def test_details_say_what_to_do(arm: Signals, of_arm: Callable[..., Experiment])
     assert "\n" not in fault.message
     assert "`log.scale`" in fault.advice
     (fault,) = find_data_faults(of_arm(changed(arm, late)), silent)
-    assert "6 ± " in fault.message
+    assert fault.message.endswith("lags the derivative of q by 6.00 ms")
     assert "idtool corrects it" in fault.advice
     assert fault.severity == "note"
 
