@@ -163,7 +163,7 @@ def test_it_is_named_by_diagnose_in_its_own_words(folder: Path, run: Callable[..
     for text in (" ".join(printed.split()), page):
         assert "The model lacks a cubic spring on swing" in text
         assert re.search(r"A spring that stiffens acts across the joint \(stiffness 0\.(8|79)", text)
-        assert "N·m/rad³, rest_position 0." in text
+        assert "N·m/rad³, rest position 0." in text
     assert "Cubic spring on swing" in page
     (entry,) = yaml.safe_load((folder / "diagnosed" / "model.yaml").read_text())["effects"]
     assert entry["effect"] == "cubic_spring"
