@@ -146,6 +146,7 @@ def test_a_urdf_is_patched_with_what_it_can_carry(pair: Path) -> None:
     assert re.sub(r"\s*<dynamics [^>]*/>", "", text) == URDF
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_the_simulator_needs_no_change(pair: Path) -> None:
     again = Machine(MJCF, noise=0.02).play(12.0, seed=1)
     write_log(pair / "same.csv", again)
@@ -190,7 +191,7 @@ def heavy(pair: Path) -> Path:
     return pair
 
 
-@pytest.mark.parametrize("inertia", ["fixed", "refit"])
+@pytest.mark.parametrize("inertia", ["fixed", pytest.param("refit", marks=pytest.mark.slow)])
 def test_a_heavier_link_is_found_and_written(heavy: Path, inertia: str) -> None:
     found = diagnosed(heavy, "heavy.csv", "--against", "light.csv", "--inertia", inertia, "--out", inertia, *EFFECTS)
     changes = by_owner(found["against"]["changes"])
@@ -235,6 +236,7 @@ def test_logs_of_different_motions_are_refused_before_any_search(
         shutil.rmtree(tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_log_with_jumps_makes_the_comparison_inconclusive(pair: Path) -> None:
     """As that of a simulation that restarts from the measured state every 2 s."""
     table = pair / "simulator" / "run1.csv"
