@@ -62,6 +62,21 @@ def in_processes(
     return results
 
 
+def shared_among_processes(
+    evaluate: Callable[[Item, Progress], Result], items: Sequence[Item], progress: Progress
+) -> list[Result]:
+    """Result of each of any number of items, in their order; as `in_processes`, each process evaluates its share."""
+
+    def evaluate_share(share: range, progress: Progress) -> list[Result]:
+        return [evaluate(items[i], progress) for i in share]
+
+    shares = interleaved_shares(len(items))
+    by_index: dict[int, Result] = {}
+    for share, results in zip(shares, in_processes(evaluate_share, shares, progress), strict=True):
+        by_index.update(zip(share, results, strict=True))
+    return [by_index[i] for i in range(len(items))]
+
+
 class Background(Generic[Result]):
     """An evaluation in a copy of this process, begun at once; where there is none, when its result is asked for.
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from idtool.common.number_text import with_error
+from idtool.common.processes import shared_among_processes
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import PartEstimate
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, parameter_value
@@ -43,18 +44,19 @@ def estimate_on_parts(
     """
     all_entries = current.experiment.config.effects
     indices = [all_entries.index(entry) for entry in entries]
-    estimates: list[list[PartEstimate]] = [[] for _ in entries]
-    for name, part in _parts(current.experiment):
+
+    def estimate_on_part(named_part: tuple[str, Experiment], progress: Progress) -> list[PartEstimate | None]:
+        name, part = named_part
         try:
             alone = linearize_fit(part, progress, reversal_margin=current.reversal_margin)
             trial = fit_trial(alone, all_entries, indices, progress)
         except FAILURES:  # too short by itself
-            continue
-        for own, index in zip(estimates, indices, strict=True):
-            size = _size(trial, index)
-            if size is not None:
-                own.append(PartEstimate(name, *size))
-    return estimates
+            return [None for _ in entries]
+        return [_size(trial, index, name) for index in indices]
+
+    by_part = shared_among_processes(estimate_on_part, _parts(current.experiment), progress)
+    by_entry = zip(*by_part, strict=True)
+    return [[estimate for estimate in estimates if estimate is not None] for estimates in by_entry]
 
 
 def contradiction(estimates: Sequence[PartEstimate], units: Mapping[str, str]) -> str:
@@ -105,8 +107,8 @@ def _parts(experiment: Experiment) -> list[tuple[str, Experiment]]:
     return [(name, replace(experiment, runs=(run,))) for name, run in logs]
 
 
-def _size(trial: TrialFit, index: int) -> tuple[str, float, float] | None:
-    """Size of an effect: name, value and standard error of its first parameter with a known standard error.
+def _size(trial: TrialFit, index: int, part: str) -> PartEstimate | None:
+    """Size of an effect on a part of the data: its first parameter with a known standard error.
 
     Returns
     -------
@@ -115,11 +117,11 @@ def _size(trial: TrialFit, index: int) -> tuple[str, float, float] | None:
     entry = trial.entries[index]
     for name, (value, error) in _linear_parameters(trial.linearized, entry).items():
         if error is not None and 0 < error < np.inf:
-            return name, value, error
+            return PartEstimate(part, name, value, error)
     for (moved, name), error in trial.errors.items():
         number = parameter_value(entry, name)
         if moved == index and isinstance(number, float) and 0 < error < np.inf:
-            return name, number, error
+            return PartEstimate(part, name, number, error)
     return None
 
 

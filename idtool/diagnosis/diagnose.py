@@ -106,12 +106,12 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     experiment = replace(experiment, cache=BatchCache())
     model = with_fixed_inertia(experiment) if options.inertia == "fixed" else experiment
     first = fit(model, progress)
-    before_search = Stages(interrupted=False)
     no_faults: tuple[Notice, ...] = ()
-    with _begin_simulation(first, options.simulate) as simulation:
-        faults = before_search.run("the check of the data", partial(find_data_faults, experiment, progress), no_faults)
-        search = _run_search(model, options, progress, before_search.is_interrupted)
+    check = Background(partial(find_data_faults, experiment))
+    with check, _begin_simulation(first, options.simulate) as simulation:
+        search = _run_search(model, options, progress)
         stages = Stages(interrupted=search.is_interrupted)
+        faults = stages.run("the check of the data", partial(check.result, progress), no_faults)
         first = _with_simulation(first, simulation, progress, stages)
     before = errors_of_fit(first)
     simulate = first.simulation is not None  # without that of the first model, there is nothing to compare with
@@ -134,7 +134,6 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     maps_before = stages.run("the residual map", partial(_maps, first, progress), no_maps)
     maps_after = stages.run("the residual map", partial(_maps, last, progress), no_maps)
     delay_notices = delay.notices if delay else ()
-    skipped = [*before_search.notices, *stages.notices]
     short_data = () if stages.has_skipped(_NOISE_FLOOR) else tuple(_short_data_notices(remaining))
     return Diagnosis(
         first=first,
@@ -151,20 +150,19 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         stopped=search.stopped,
         maps_before=maps_before,
         maps_after=maps_after,
-        notices=unique([*delay_notices, *_doubt_notices(steps), *_search_notices(search), *skipped, *short_data]),
+        notices=unique(
+            [*delay_notices, *_doubt_notices(steps), *_search_notices(search), *stages.notices, *short_data]
+        ),
         seconds=time.perf_counter() - started,
     )
 
 
-def _run_search(experiment: Experiment, options: Options, progress: Progress, is_interrupted: bool) -> EffectSearch:
-    """Search for effects that has ended, begun with the assumed ones; after Ctrl-C, with these alone."""
+def _run_search(experiment: Experiment, options: Options, progress: Progress) -> EffectSearch:
+    """Search for effects that has ended, begun with the assumed ones."""
     search = EffectSearch(experiment, options.effects, options.max_effects, progress, options.budget)
     for effect, target in options.assumed:
         search.assume(effect, target)
-    if is_interrupted:
-        search.interrupt()
-    else:
-        search.run()
+    search.run()
     return search
 
 

@@ -12,6 +12,7 @@ from itertools import combinations
 from idtool.common.exceptions import ConfigError
 from idtool.common.processes import in_processes, interleaved_shares
 from idtool.diagnosis.bursts import find_bursts
+from idtool.diagnosis.candidate_fit import MIN_PARAMETER_SIGNIFICANCE, not_fitted_reason
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
@@ -29,13 +30,7 @@ from idtool.diagnosis.model_selection import (
 )
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN, joints_clearer_away_from_reversals
 from idtool.diagnosis.screen import sum_standard_error
-from idtool.diagnosis.selection_round import (
-    MIN_PARAMETER_SIGNIFICANCE,
-    Bursts,
-    find_best_effect,
-    fit_assumed_effect,
-    not_fitted_reason,
-)
+from idtool.diagnosis.selection_round import Bursts, find_best_effect, fit_assumed_effect
 from idtool.diagnosis.trial import FAILURES, failure_reason, with_effects
 from idtool.diagnosis.unproven import find_unproven
 from idtool.diagnosis.words import removal_sentence, removal_with_reason, replacement_sentence, unproven_sentence
@@ -164,7 +159,8 @@ class EffectSearch:
         try:
             self._run()
         except KeyboardInterrupt:
-            self.interrupt()
+            self.is_interrupted = True
+            self._stop("the search was interrupted", "let it run to its end, or limit its time with --budget")
         except _TimeLimitError:
             self._stop("the search reached its time limit", "allow it more time with a larger --budget")
         except FAILURES as failure:
@@ -173,11 +169,6 @@ class EffectSearch:
             )
             self._stop(f"the search ended early: {failure_reason(failure)}", advice)
         self._deadline = None
-
-    def interrupt(self) -> None:
-        """End the search as after Ctrl-C."""
-        self.is_interrupted = True
-        self._stop("the search was interrupted", "let it run to its end, or limit its time with --budget")
 
     def note_limit(self) -> None:
         """Say that the search ended at the largest number of effects, if it did, although more are missing."""

@@ -43,6 +43,7 @@ _MAX_ROUGHNESS = 0.3  # of the force, that changes within _SMOOTH_SECONDS
 _SMOOTH_SECONDS = 0.05
 _REACH = 0.3  # m: typical distance of the point from the link's centre of mass
 _MAX_FIT_SAMPLES = 400
+_FIT_TOLERANCE = 1e-5  # relative change of the squared residual
 _MAX_KNOTS = 16  # of a profile, in a window
 _MIN_KNOT_SAMPLES = 3  # between two knots
 _PIECES = 6  # of a straight line, in which its error is averaged
@@ -157,9 +158,17 @@ class _Windows:
 
     def unit_torque(self, force: Array, point: Array) -> Array:
         """Torque b that a force along the axes of the root link at a point of the link takes, shape (nv, n)."""
-        arm = (self.R @ point).T
-        moment = cross(arm, np.broadcast_to(force[:, None], arm.shape))
-        return -np.asarray(np.einsum("kin,i->kn", self.linear, force) + np.einsum("kin,in->kn", self.angular, moment))
+        return np.asarray(np.einsum("ikn,i->kn", self.torque_by_force(point), force))
+
+    def torque_by_force(self, point: Array) -> Array:
+        """Derivative of the torque b by the force at a point, shape (3, nv, n); b is linear in the force."""
+        arm = (self.R @ point).T[:, None]
+        return -np.asarray(self.linear.swapaxes(0, 1) + cross(self.angular.swapaxes(0, 1), arm))
+
+    def torque_by_point(self, force: Array) -> Array:
+        """Derivative of the torque b by the point at which a force acts, shape (3, nv, n)."""
+        moment = cross(force[:, None, None], self.angular.swapaxes(0, 1))
+        return -np.asarray(np.einsum("nij,ikn->jkn", self.R, moment))
 
     def unexplained(self, b: Array) -> float:
         """Share of the squared residual above the noise that a force with a free profile does not explain."""
@@ -247,12 +256,25 @@ def _fit_force(data: _Windows, center: Array, starts: Sequence[tuple[Array, Arra
 
     def remaining(x: Array) -> Array:
         force, point = x[:3], x[3:]
-        b = few.unit_torque(force / max(float(np.linalg.norm(force)), _TINY), point)
+        b = few.unit_torque(force, point)
         left = few.e - b * _profile(b, few.e)
-        size = np.linalg.norm(force) - 1
-        return np.concatenate([left.ravel(), (point - center) / _REACH, [size]])
+        return np.concatenate([left.ravel(), (point - center) / _REACH, [np.linalg.norm(force) - 1]])
 
-    solutions = [least_squares(remaining, np.concatenate([f / np.linalg.norm(f), p])) for f, p in starts]
+    def derivative(x: Array) -> Array:
+        force, point = x[:3], x[3:]
+        b = few.unit_torque(force, point)
+        s = _profile(b, few.e)
+        db = np.concatenate([few.torque_by_force(point), few.torque_by_point(force)])
+        ds = (db * (few.e - 2 * b * s)).sum(axis=1) / np.maximum(np.square(b).sum(axis=0), _TINY)
+        d_left = -(db * s + b * ds[:, None])
+        of_point = np.vstack([np.zeros((3, 3)), np.eye(3) / _REACH])
+        of_size = np.concatenate([force / np.linalg.norm(force), np.zeros(3)])
+        return np.column_stack([d_left.reshape(6, -1), of_point, of_size]).T
+
+    solutions = []
+    for force, point in starts:
+        start = np.concatenate([force / np.linalg.norm(force), point])
+        solutions.append(least_squares(remaining, start, jac=derivative, ftol=_FIT_TOLERANCE))
     best = min(solutions, key=lambda solution: float(solution.cost)).x
     return best[:3] / np.linalg.norm(best[:3]), best[3:]
 

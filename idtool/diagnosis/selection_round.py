@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from idtool.common.exceptions import ConfigError
-from idtool.diagnosis.held_out_error import held_out_mean_squares, lowers_held_out_likelihood
+from idtool.common.arrays import Array
+from idtool.common.processes import in_processes, process_count
+from idtool.diagnosis.candidate_fit import fit_and_judge, fit_candidate, not_fitted_reason
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.model_selection import (
     MIN_SHARE,
@@ -27,8 +29,6 @@ from idtool.diagnosis.model_selection import (
     Screening,
     SelectionStep,
     best_by_key,
-    block_gains,
-    is_reportable,
     probe_key,
     screened_record,
     select_best,
@@ -37,18 +37,11 @@ from idtool.diagnosis.noise_gain import noise_gain_with_probe
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
-from idtool.diagnosis.trial import (
-    FAILURES,
-    TrialFit,
-    failure_reason,
-    fit_trial,
-    has_fixed_inertia,
-    parameter_value,
-)
+from idtool.diagnosis.trial import FAILURES, has_fixed_inertia
+from idtool.diagnosis.trial_transfer import trial_from_bytes, trial_to_bytes
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import Burst, DataSummary
 from idtool.dynamics.effects.joint_effect import JointEffect
-from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
 
@@ -61,16 +54,6 @@ _REFINEMENT_POINTS = 7  # values that are screened again between the neighbours 
 _MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, those that are then rejected included
 _MIN_GAIN_RATIO = 0.4  # to the gain of the best accepted candidate, for a candidate to be fitted
 _MIN_FIRST_ORDER_GAIN_RATIO = 0.2  # likewise, where a fit may explain much more than the screening
-_MAX_GAUSS_NEWTON_STEPS = 5  # of the fit of a candidate for which one step is not enough
-_MAX_HELD_OUT_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
-_MAX_LOSS_SHARE = 0.2  # of its gains in some blocks, that an effect may lose in others
-MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter is at least from zero
-# of a joint's squared residual without any effect: the effects found are assumed accurate to 1 %, squared 1e-4
-_MIN_SAVED_SHARE = 1e-4
-_MIN_SHARE_OF_TORQUE = 5e-3  # of a joint's rms torque, that an effect must have to be named
-_MIN_SHARE_FITTED_ALONG = 3e-3  # likewise, to be only included in the fit
-_RANGE_EDGE_RATIO = 1.02  # ratio to an end of a range, up to which a value is at that end
-_BOUND_TOLERANCE = 1e-9  # distance from a bound, up to which a coefficient is at it
 
 
 def find_best_effect(
@@ -192,22 +175,51 @@ def _fit_best_candidates(
         else:
             significant.append(true_gain)
 
-    best_gain = 0.0
-    for candidate in _by_gain(significant)[:_MAX_FULL_FITS]:
-        if candidate.gain < _min_gain_ratio(candidate) * best_gain:
-            continue
+    def fit_and_judge_one(candidate: ScreenedProbe, progress: Progress) -> _Judged | Exception:
         try:
-            fitted, objection = _fit_and_judge(candidate, base, initial, summary, progress)
+            fitted, objection = fit_and_judge(candidate, base, initial, summary, progress)
         except FAILURES as failure:
-            failed.append(screened_record(candidate, base, not_fitted_reason(failure)))
-            continue
-        if objection:
-            rejected.append(screened_record(candidate, base, objection))
-        else:
-            finalists.append(fitted)
-            best_gain = max(best_gain, candidate.gain)
+            return failure
+        return _Judged(trial_to_bytes(fitted.trial, base), fitted.gains, objection)
+
+    best_gain = 0.0
+    waiting = _by_gain(significant)[:_MAX_FULL_FITS]
+    while waiting:
+        # Those after the first may turn out not to be needed; a core that has nothing else to do fits them anyway.
+        together = waiting[: process_count()]
+        waiting = waiting[len(together) :]
+        for candidate, judged in zip(together, in_processes(fit_and_judge_one, together, progress), strict=True):
+            if candidate.gain < _min_gain_ratio(candidate) * best_gain:
+                continue
+            if isinstance(judged, Exception):
+                failed.append(screened_record(candidate, base, not_fitted_reason(judged)))
+            elif judged.objection:
+                rejected.append(screened_record(candidate, base, judged.objection))
+            else:
+                trial = trial_from_bytes(judged.trial, base)
+                finalists.append(FittedCandidate(candidate, trial, judged.gains))
+                best_gain = max(best_gain, candidate.gain)
+        waiting = [candidate for candidate in waiting if candidate.gain >= _min_gain_ratio(candidate) * best_gain]
     finalists.sort(key=lambda finalist: -finalist.gain)
     return FullFits(finalists, rejected, failed)
+
+
+class _Judged(NamedTuple):
+    """A candidate that was fitted with the whole model, as a copy of this process can send it.
+
+    Attributes
+    ----------
+    trial
+        Bytes of the fit.
+    gains
+        Gain in each block by the fit, shape (F,).
+    objection
+        Reason why it is rejected, as a clause; empty if it is accepted.
+    """
+
+    trial: bytes
+    gains: Array
+    objection: str
 
 
 def _min_gain_ratio(candidate: ScreenedProbe) -> float:
@@ -225,26 +237,6 @@ def _without_cancelled_noise(candidate: ScreenedProbe, base: LinearizedFit) -> S
     least_sse = np.maximum(base.sse - np.maximum(candidate.gains, 0)[:, None], 0)
     loss = least_sse @ (1 / np.square(noise_gain) - 1)
     return replace(candidate, gains=candidate.gains - loss)
-
-
-def _fit_and_judge(
-    candidate: ScreenedProbe, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary, progress: Progress
-) -> tuple[FittedCandidate, str]:
-    """Candidate fitted with the whole model, and the reason why it is rejected, as a clause; empty if it is accepted.
-
-    A candidate that would be rejected is fitted again together with the nonlinear parameters of the other effects on
-    its joint: these were found without the candidate, and may imitate it.
-    """
-    fitted = _fit_candidate(base, candidate, progress)
-    objection = _objection(fitted, base, initial, summary)
-    others = _movable_on_joint(base, candidate.probe.joint)
-    if not objection or not others:
-        return fitted, objection
-    try:
-        refitted = _fit_candidate(base, candidate, progress, others)
-    except FAILURES:
-        return fitted, objection
-    return refitted, _objection(refitted, base, initial, summary)
 
 
 def fit_assumed_effect(
@@ -277,7 +269,7 @@ def fit_assumed_effect(
     winner = None
     for candidate in sorted(screened, key=lambda one: (not one.is_possible, -one.gain)):
         try:
-            winner = _fit_candidate(base, candidate, progress)
+            winner = fit_candidate(base, candidate, progress)
             break
         except FAILURES:
             continue
@@ -381,158 +373,3 @@ def _refined_values(value: float, grid: Sequence[float]) -> list[float]:
     spaced = np.geomspace if low > 0 else np.linspace
     inner = spaced(low, high, _REFINEMENT_POINTS + 2)[1:-1]
     return [float(x) for x in inner]
-
-
-def _fit_candidate(
-    base: LinearizedFit, candidate: ScreenedProbe, progress: Progress, others: Sequence[int] = ()
-) -> FittedCandidate:
-    """Candidate fitted with the whole model; raises as `fit_trial`, and if there is no such effect.
-
-    Parameters
-    ----------
-    base
-        The model.
-    candidate
-        The candidate.
-    progress
-        Callback for the stage and its progress, from 0 to 1.
-    others
-        Indices of the model's effects whose nonlinear parameters are moved with those of the candidate.
-    """
-    if candidate.entry is None:
-        raise ConfigError("effects", "its parameters are out of range")
-    entries = (*base.experiment.config.effects, candidate.entry)
-    moving = [*others, len(entries) - 1]
-    trial = fit_trial(base, entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS if others else 1)
-    if _undetermined_parameter(trial):  # it may be determined closer to the optimum
-        trial = fit_trial(base, trial.entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
-    return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
-
-
-def _movable_on_joint(base: LinearizedFit, joint: str | None) -> list[int]:
-    """Indices of the model's effects on a joint that have nonlinear parameters to move along a gradient."""
-    movable = []
-    for i, entry in enumerate(base.experiment.config.effects):
-        if joint is not None and entry.joint == joint and effect_types()[entry.effect].gradient_parameters():
-            movable.append(i)
-    return movable
-
-
-def not_fitted_reason(failure: Exception) -> str:
-    """Reason why a candidate is rejected that cannot be fitted, as a clause."""
-    return f"cannot be fitted together with the rest of the model: {failure_reason(failure)}"
-
-
-def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary) -> str:
-    """Reason why the fitted candidate is rejected, as a clause; empty if it is accepted."""
-    fit = candidate.trial.linearized
-    if reason := _implausibility(candidate, summary):
-        return reason
-    if not _is_within_bounds(fit, base):
-        return "reaches its bounds when fitted with the rest of the model"
-    if parameter := _undetermined_parameter(candidate.trial):
-        return f"its {parameter} is not determined by the data"
-    loss = -np.minimum(candidate.gains, 0).sum()
-    if loss > _MAX_LOSS_SHARE * np.maximum(candidate.gains, 0).sum():
-        return "reduces the error in some parts of the log and increases it in others"
-    if _worsens_held_out_error(candidate, base):
-        return "increases the error on the held-out data"
-    min_share = _MIN_SHARE_OF_TORQUE if is_reportable(candidate.probe.effect) else _MIN_SHARE_FITTED_ALONG
-    if not _is_relevant(fit, base, initial, min_share):
-        return (
-            "explains less than the uncertainty of the effects that were found before, or only a negligible part of "
-            "the torque"
-        )
-    return ""
-
-
-def _implausibility(candidate: FittedCandidate, summary: DataSummary) -> str:
-    """Reason why the fitted candidate is rejected as one that no robot has, as a clause; empty if it is accepted."""
-    fit = candidate.trial.linearized
-    entry = candidate.trial.entries[-1]
-    values = dict(entry.values)
-    effect_and_slice = fit.find_effect(entry)
-    if effect_and_slice is not None:
-        effect, part = effect_and_slice
-        theta = fit.estimate.theta[part]
-        unknown_covariance = np.full((len(theta), len(theta)), np.inf)
-        linear = effect.parameters(theta, unknown_covariance)
-        values |= {name: value for name, (value, _) in linear.items()}
-    return effect_types()[entry.effect].implausibility(values, entry.joint, summary)
-
-
-def _worsens_held_out_error(candidate: FittedCandidate, base: LinearizedFit) -> bool:
-    """True if an effect increases the error on held-out data of the joints it acts on; False without such data."""
-    if effect_types()[candidate.probe.effect].is_undefined_where_it_acts:
-        # the impacts of the teeth shake the other joints too
-        return lowers_held_out_likelihood(base, candidate.trial.linearized)
-    equation = candidate.trial.linearized.experiment.equation
-    joint = candidate.probe.joint
-    is_acted_on = [joint is None or name == joint for name in equation.joints]
-    variance = np.square(base.noise)
-    with_effect = held_out_mean_squares(candidate.trial.linearized, equation) / variance
-    without = held_out_mean_squares(base, equation) / variance
-    # False without held-out data, where both are NaN
-    return bool(with_effect[is_acted_on].sum() > _MAX_HELD_OUT_RATIO * without[is_acted_on].sum())
-
-
-def _undetermined_parameter(trial: TrialFit) -> str:
-    """First nonlinear parameter of the newest effect that the data do not determine; empty if there is none.
-
-    Its standard error is too large, or its value is at an end of its range. Optional and open-ended parameters need not
-    be determined, and those that were not moved cannot be judged.
-    """
-    last = len(trial.entries) - 1
-    entry = trial.entries[last]
-    for parameter in effect_types()[entry.effect].nonlinear_parameters:
-        key = (last, parameter.name)
-        value = parameter_value(entry, parameter.name)
-        need_not_be_determined = parameter.open_ended or parameter.optional_maximum is not None
-        if need_not_be_determined or key not in trial.errors or not isinstance(value, float):
-            continue
-        is_precise = trial.errors[key] < _max_standard_error(parameter, value)
-        low, high = trial.ranges.get(key, (-np.inf, np.inf))  # of these, only positive ones have one
-        is_inside = low * _RANGE_EDGE_RATIO < value < high / _RANGE_EDGE_RATIO
-        if not (is_precise and is_inside):
-            return parameter.name
-    return ""
-
-
-def _max_standard_error(parameter: NonlinearParameter, value: float) -> float:
-    """Standard error from which a value of a nonlinear parameter is undetermined; infinite if any finite one passes."""
-    if parameter.max_standard_error is not None:
-        return parameter.max_standard_error
-    if parameter.positive:
-        return value / MIN_PARAMETER_SIGNIFICANCE
-    return np.inf
-
-
-def _is_within_bounds(fit: LinearizedFit, base: LinearizedFit) -> bool:
-    """True if every new coefficient is below its upper bound, and at least one is above its lower bound.
-
-    New are those that the base does not have; True if there are none. Some may be at their lower bound, as a part of an
-    effect that is absent; if all are, the effect itself is absent.
-    """
-    base_keys = {c.key for c in base.experiment.equation.coefficients}
-    new = []
-    for c, value in zip(fit.experiment.equation.coefficients, fit.estimate.theta, strict=True):
-        if c.key not in base_keys:
-            new.append((c, value))
-    if not new:
-        return True
-    is_present = any(value > c.lower + _BOUND_TOLERANCE for c, value in new)
-    return is_present and all(value < c.upper for c, value in new)
-
-
-def _is_relevant(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit, min_share: float) -> bool:
-    """True if the squared residual of some joint falls by more than two shares of what the joint has.
-
-    One is a share of the squared residual in the initial model: a strong effect whose size is known to a hundredth
-    leaves a hundredth of itself, which is no effect of its own. The other is that of a torque of ``min_share`` of the
-    joint's rms torque.
-    """
-    # both in units of the base's noise: a fit that uses or rescales the measured torque has another noise of its own
-    saved = (base.sse - fit.sse).sum(axis=0) * np.square(base.noise)
-    uncertain = _MIN_SAVED_SHARE * initial.sse.sum(axis=0) * np.square(initial.noise)
-    negligible = base.row_counts.sum(axis=0) * np.square(min_share * base.rms_torque)
-    return bool((saved > np.maximum(uncertain, negligible)).any())

@@ -23,7 +23,7 @@ from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.linearized_model import LinearizedModel
-from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.regressor import LinearModel, OperatingPoint
 from idtool.estimation.dataset.equality_constraints import Constraint, equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry, Regularization
@@ -95,10 +95,17 @@ def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: 
         The experiment's coefficients, shape (p,), for effects that depend on the rest of the model; None: those of its
         operating point.
     """
-    config = experiment.config.model_copy(update={"effects": tuple(entries)})
     operating_point = experiment.equation.operating_point
     if theta is not None:
         operating_point = {c.key: float(x) for c, x in zip(experiment.equation.coefficients, theta, strict=True)}
+    return with_effects_at(experiment, entries, operating_point)
+
+
+def with_effects_at(
+    experiment: Experiment, entries: Sequence[EffectEntry], operating_point: OperatingPoint
+) -> Experiment:
+    """`with_effects` with the coefficients, by key, for effects that depend on the rest of the model."""
+    config = experiment.config.model_copy(update={"effects": tuple(entries)})
     equation = LinearModel(experiment.model.names, build_effects(experiment.model, config), operating_point)
     equalities = equality_constraints(config, experiment.model, equation)
     changed = replace(experiment, config=config, equation=equation, equalities=equalities)

@@ -29,6 +29,8 @@ from idtool.robot.model import RobotModel
 _MAX_INVALID_WEIGHT = 0.3  # share of a valid filtered sample's weight that may come from invalid samples
 _CLEAN_WEIGHT = 0.03  # share by magnitude up to which invalid samples do not show in a filtered one
 
+OperatingPoint = Mapping[tuple[str, str, str, tuple[float, ...]], float]  # coefficients by key
+
 
 @dataclass(frozen=True)
 class LinearModel:
@@ -46,7 +48,7 @@ class LinearModel:
 
     joints: tuple[str, ...]
     effects: tuple[Effect, ...]
-    operating_point: Mapping[tuple[str, str, str, tuple[float, ...]], float] = field(default_factory=dict)
+    operating_point: OperatingPoint = field(default_factory=dict)
     _true_motions: dict[IdentityKey, Motion] = field(default_factory=dict, init=False, repr=False, compare=False)
     _masks: dict[IdentityKey, dict[int, list[Mask]]] = field(
         default_factory=dict, init=False, repr=False, compare=False

@@ -181,14 +181,13 @@ def test_a_stage_that_fails_is_skipped_and_named(
 
     monkeypatch.setattr(module, stage, fail)
     found = diagnosed(arm)
-    is_before_search = stage == "find_data_faults" and isinstance(failure, KeyboardInterrupt)
-    assert named(found) == (set() if is_before_search else {SPRING, OFFSET})
-    assert bool(found.stopped) == is_before_search
-    is_floor_known = not is_before_search and stage not in ("residual_structure", "structured_noise_floor")
+    assert named(found) == {SPRING, OFFSET}
+    assert not found.stopped
+    is_floor_known = stage not in ("residual_structure", "structured_noise_floor")
     if isinstance(failure, ValueError):
         assert found.is_floor_known == is_floor_known
     if not is_floor_known:  # nothing is known of what remains
-        assert found.verdict == ("unexplained" if is_before_search else "partly_explained")
+        assert found.verdict == "partly_explained"
     skipped = [notice.message for notice in found.notices if notice.code == "stage_skipped"]
     if stage != "localize_unexplained":  # nothing remains to be located
         assert skipped

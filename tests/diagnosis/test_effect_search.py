@@ -12,7 +12,7 @@ import pytest
 from disturbed import Hidden, experiment_of, silent, torque_on_joint
 
 from idtool.common.exceptions import SolverError
-from idtool.diagnosis import effect_order, effect_search, selection_round
+from idtool.diagnosis import candidate_fit, effect_order, effect_search
 from idtool.diagnosis.effect_order import StepErrors, first_harmful, order_effects
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
@@ -219,7 +219,7 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
 
     The model has no coefficients but theirs.
     """
-    monkeypatch.setattr(selection_round, "_objection", lambda *arguments: "")
+    monkeypatch.setattr(candidate_fit, "_objection", lambda *arguments: "")
     changing = torque_on_joint(0, lambda t, q, v, tau: np.where(t < 0.69 * t[-1], 0.5, -0.5))
     experiment = with_fixed_inertia(experiment_of(tmp_path, together(changing, offset)))
     search = search_with(experiment, [("torque_offset", "j1"), OFFSET])

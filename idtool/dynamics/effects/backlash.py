@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy import ndimage
@@ -34,6 +35,7 @@ _APART_SPEED = 4e-3  # of the width per sample: slower, and the teeth have met
 _IMPACT_DECAY = 0.02  # s
 _TEETH_LAG = 2e-3  # s
 _MIN_INERTIA = 1e-9  # kg·m² or kg
+_MIN_STEPS = 32  # by which a path is continued
 _MIN_SQUARED_VELOCITY = 1e-9  # rad²/s² or m²/s², summed over a log: the joint rests
 
 
@@ -171,7 +173,7 @@ def _motor_in_play(
     """
     link = _free_link(motion, joint, nonlinear_values["motor_friction"], linearized)
     width = nonlinear_values["width"]
-    positions = [_simulate_play(link, factor * width / 2, motion.dt) for factor in _WIDTH_BLUR]
+    positions = [_simulate_play(link, factor * width) for factor in _WIDTH_BLUR]
     position = np.mean(positions, axis=0)
     pole = np.exp(-motion.dt / _TEETH_LAG)
     for _ in range(2):
@@ -179,35 +181,17 @@ def _motor_in_play(
     return np.asarray(position)
 
 
-@dataclass(frozen=True)
 class _FreeLink:
-    """How a joint's motor and link move apart while no teeth hold them together; sequences of N samples.
+    """How a joint's motor and link move apart while no teeth hold them together, by the model without the play.
 
     Attributes
     ----------
     driven_up, driven_down
         Samples where the transmitted torque is above and below 0, ascending.
-    acceleration
-        Of the motor relative to the link, if the link moved as the motor does and had no dry friction
-        [rad/s² or m/s²].
-    damping
-        Viscous friction of the link over its inertia [1/s].
-    dry_deceleration
-        Dry friction of the link over its inertia [rad/s² or m/s²].
-    motor_velocity
-        As measured [rad/s or m/s].
-    """
-
-    driven_up: Sequence[int]
-    driven_down: Sequence[int]
-    acceleration: Sequence[float]
-    damping: Sequence[float]
-    dry_deceleration: Sequence[float]
-    motor_velocity: Sequence[float]
-
-
-def _free_link(motion: Motion, joint: int, motor_friction: float, linearized: Linearization) -> _FreeLink:
-    """How a joint's motor and link move apart by the model without the play.
+    dt
+        Time between samples [s].
+    sample_count
+        Number of samples, N.
 
     Parameters
     ----------
@@ -220,86 +204,111 @@ def _free_link(motion: Motion, joint: int, motor_friction: float, linearized: Li
     linearized
         The model without the play.
     """
-    velocity = motion.v[joint]
-    friction = linearized.friction_torque(joint)
-    dry_friction, dry_friction_level = linearized.dry_friction(joint)
-    viscosity = (friction - dry_friction) @ velocity / max(velocity @ velocity, _MIN_SQUARED_VELOCITY)
-    link_viscosity = (1 - motor_friction) * max(float(viscosity), 0.0)
 
-    load, inertia = linearized.link_load(motion, joint)
-    inertia = np.maximum(inertia, _MIN_INERTIA)
-    transmitted = load - motor_friction * friction
-    without_dry_friction = transmitted - (1 - motor_friction) * dry_friction
-    return _FreeLink(
-        driven_up=np.flatnonzero(transmitted > 0).tolist(),
-        driven_down=np.flatnonzero(transmitted < 0).tolist(),
-        acceleration=(without_dry_friction / inertia).tolist(),
-        damping=(link_viscosity / inertia).tolist(),
-        dry_deceleration=((1 - motor_friction) * dry_friction_level / inertia).tolist(),
-        motor_velocity=velocity.tolist(),
-    )
+    def __init__(self, motion: Motion, joint: int, motor_friction: float, linearized: Linearization) -> None:
+        velocity = motion.v[joint]
+        friction = linearized.friction_torque(joint)
+        dry_friction, dry_friction_level = linearized.dry_friction(joint)
+        viscosity = (friction - dry_friction) @ velocity / max(velocity @ velocity, _MIN_SQUARED_VELOCITY)
+        link_viscosity = (1 - motor_friction) * max(float(viscosity), 0.0)
+
+        load, inertia = linearized.link_load(motion, joint)
+        inertia = np.maximum(inertia, _MIN_INERTIA)
+        transmitted = load - motor_friction * friction
+        without_dry_friction = transmitted - (1 - motor_friction) * dry_friction
+        self.dt = motion.dt
+        self.sample_count = len(velocity)
+        self.driven_up: list[int] = np.flatnonzero(transmitted > 0).tolist()
+        self.driven_down: list[int] = np.flatnonzero(transmitted < 0).tolist()
+        # changes of the relative velocity per sample, if the link moved as the motor does
+        self._driving = (without_dry_friction / inertia * self.dt).tolist()
+        self._damping = (1 + link_viscosity / inertia * self.dt).tolist()
+        self._dry_friction = ((1 - motor_friction) * dry_friction_level / inertia * self.dt).tolist()
+        self._motor_velocity = velocity.tolist()
+        self._paths: dict[int, tuple[Array, float]] = {}  # by sample: displacements since, and the last velocity
+
+    def path_apart(self, parting: int, side: int, width: float) -> Array:
+        """Displacements of the motor against the link from the sample where teeth part to where they meet, or the last.
+
+        The width only says where a path ends, so that plays of all widths share the paths.
+
+        Parameters
+        ----------
+        parting
+            Sample at which the teeth part.
+        side
+            1 or −1: the end of the play at which they part.
+        width
+            Width of the play [rad or m].
+        """
+        path, velocity = self._paths.get(parting, (np.empty(0), 0.0))
+        while True:
+            inward = -side * path
+            have_met = np.flatnonzero((inward <= 0) | (inward >= width))
+            if len(have_met):
+                return path[: have_met[0] + 1]
+            first = parting + len(path)
+            if first >= self.sample_count:
+                return path
+            last = min(first + max(len(path), _MIN_STEPS), self.sample_count)
+            path, velocity = self._continued(path, velocity, range(first, last))
+            self._paths[parting] = path, velocity
+
+    def _continued(self, path: Array, velocity: float, samples: range) -> tuple[Array, float]:
+        """Path over further samples, and its last relative velocity."""
+        dt = self.dt
+        displacement = float(path[-1]) if len(path) else 0.0
+        displacements = []
+        for k in samples:
+            damped_velocity = (velocity + self._driving[k]) / self._damping[k]
+            # Dry friction slows the link down, at most to rest.
+            link_velocity = self._motor_velocity[k] - damped_velocity
+            most_slowing = self._dry_friction[k]
+            velocity = damped_velocity + min(max(link_velocity, -most_slowing), most_slowing)
+            displacement += velocity * dt
+            displacements.append(displacement)
+        return np.concatenate([path, displacements]), velocity
 
 
-def _simulate_play(link: _FreeLink, half_width: float, dt: float) -> Array:
-    """Position of the motor within a play, in [−half_width, half_width], shape (N,) [rad or m].
+# the latest one along each model, which serves all widths of the play
+_free_links: WeakKeyDictionary[Linearization, tuple[int, float, _FreeLink]] = WeakKeyDictionary()
+
+
+def _free_link(motion: Motion, joint: int, motor_friction: float, linearized: Linearization) -> _FreeLink:
+    """How a joint's motor and link move apart; kept until another joint or friction is asked for along the model."""
+    kept = _free_links.get(linearized)
+    if kept is not None and kept[:2] == (joint, motor_friction):
+        return kept[2]
+    link = _FreeLink(motion, joint, motor_friction, linearized)
+    _free_links[linearized] = joint, motor_friction, link
+    return link
+
+
+def _simulate_play(link: _FreeLink, width: float) -> Array:
+    """Position of the motor within a play, in [−width/2, width/2], shape (N,) [rad or m].
 
     Parameters
     ----------
     link
         How motor and link move apart.
-    half_width
-        Half the width of the play [rad or m].
-    dt
-        Time between samples [s].
+    width
+        Width of the play [rad or m].
     """
-    count = len(link.motor_velocity)
-    positions = np.empty(count)
+    positions = np.empty(link.sample_count)
     begins_driven_down = link.driven_down[:1] == [0]
     side = -1 if begins_driven_down else 1  # of the play, at which the teeth are in contact
     k = 0
-    while k < count:
+    while k < link.sample_count:
         # The teeth stay in contact until they are driven apart.
         leaving = link.driven_down if side > 0 else link.driven_up
         following = bisect_left(leaving, k)
-        parting = leaving[following] if following < len(leaving) else count
-        positions[k:parting] = side * half_width
-
-        positions_apart = _positions_apart(link, parting, side * half_width, dt)
-        k = parting + len(positions_apart)
-        positions[parting:k] = positions_apart
-        side = 1 if positions[k - 1] > 0 else -1
-    return positions
-
-
-def _positions_apart(link: _FreeLink, parting: int, position: float, dt: float) -> list[float]:
-    """Positions of the motor within the play from the sample where teeth part to where they meet, or to the last.
-
-    Parameters
-    ----------
-    link
-        How motor and link move apart.
-    parting
-        Sample at which the teeth part.
-    position
-        Position at which they part, at an end of the play [rad or m].
-    dt
-        Time between samples [s].
-    """
-    half_width = abs(position)
-    relative_velocity = 0.0  # of the motor against the link
-    positions: list[float] = []
-    for k in range(parting, len(link.motor_velocity)):
-        driven_velocity = relative_velocity + link.acceleration[k] * dt
-        damped_velocity = driven_velocity / (1 + link.damping[k] * dt)
-        # Dry friction slows the link down, at most to rest.
-        link_velocity = link.motor_velocity[k] - damped_velocity
-        most_slowing = link.dry_deceleration[k] * dt
-        relative_velocity = damped_velocity + min(max(link_velocity, -most_slowing), most_slowing)
-
-        position += relative_velocity * dt
-        have_met = not -half_width < position < half_width
-        if have_met:
-            positions.append(half_width if position > 0 else -half_width)
+        parting = leaving[following] if following < len(leaving) else link.sample_count
+        contact = side * width / 2
+        positions[k:parting] = contact
+        if parting == link.sample_count:
             break
-        positions.append(position)
+        path = link.path_apart(parting, side, width)
+        k = parting + len(path)
+        positions[parting:k] = np.clip(contact + path, -width / 2, width / 2)
+        side = 1 if positions[k - 1] > 0 else -1
     return positions
