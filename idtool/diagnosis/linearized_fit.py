@@ -79,8 +79,8 @@ class LinearizedFit:
         Rows of a block of time; the last of a log may have fewer.
     reversal_margin
         Least distance of the rows from reversals, beside the filter's ringing [s].
-    row_equation
-        Equation whose columns are defined at all rows.
+    row_experiment
+        Model whose columns are defined at all rows.
     """
 
     experiment: Experiment
@@ -97,7 +97,7 @@ class LinearizedFit:
     rms_torque: Array
     block_length: int
     reversal_margin: float
-    row_equation: LinearModel
+    row_experiment: Experiment
 
     def find_effect(self, entry: EffectEntry) -> tuple[NamedEffect, slice] | None:
         """Effect of a configuration entry and the range of its coefficients in theta; None if it has none."""
@@ -107,6 +107,11 @@ class LinearizedFit:
             return None
         _, part = effect_and_slice
         return effect_and_slice if part.stop > part.start else None
+
+    @property
+    def row_equation(self) -> LinearModel:
+        """Equation whose columns are defined at all rows."""
+        return self.row_experiment.equation
 
     @property
     def block_count(self) -> int:
@@ -188,12 +193,12 @@ def linearize_fit(
         be solved.
     """
     length = _block_length(experiment)
-    row_equation = experiment.equation
+    row_experiment = experiment
     if reference is not None:
         reversal_margin = reference.reversal_margin
         if not own_rows:
-            row_equation = reference.row_equation
-    blocks = _read_blocks(experiment, length, progress, row_equation, reversal_margin)
+            row_experiment = reference.row_experiment
+    blocks = _read_blocks(experiment, length, progress, row_experiment.equation, reversal_margin)
     equation = experiment.equation
     reduction = experiment.checked(merge_reductions([log.total for log in blocks]))
     rms_torque = np.array([np.linalg.norm(factor.R[:, -1]) / np.sqrt(factor.rows) for factor in reduction])
@@ -229,7 +234,7 @@ def linearize_fit(
         rms_torque=rms_torque,
         block_length=length,
         reversal_margin=reversal_margin,
-        row_equation=row_equation,
+        row_experiment=row_experiment,
     )
 
 

@@ -180,7 +180,7 @@ def _fit_best_candidates(
             fitted, objection = fit_and_judge(candidate, base, initial, summary, progress)
         except FAILURES as failure:
             return failure
-        return _Judged(trial_to_bytes(fitted.trial, base), fitted.gains, objection)
+        return _Judged(trial_to_bytes(fitted.trial), fitted.gains, objection)
 
     best_gain = 0.0
     waiting = _by_gain(significant)[:_MAX_FULL_FITS]

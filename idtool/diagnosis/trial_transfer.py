@@ -10,27 +10,18 @@ from typing_extensions import override
 
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.trial import TrialFit, with_effects_at
-from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment
 
 
-def trial_to_bytes(trial: TrialFit, base: LinearizedFit) -> bytes:
-    """Bytes of a trial.
-
-    Parameters
-    ----------
-    trial
-        The trial.
-    base
-        The fit that it was compared with.
-    """
+def trial_to_bytes(trial: TrialFit) -> bytes:
+    """Bytes of a trial, from which `trial_from_bytes` restores it."""
     buffer = io.BytesIO()
-    _TrialPickler(buffer, base).dump(trial)
+    _TrialPickler(buffer).dump(trial)
     return buffer.getvalue()
 
 
 def trial_from_bytes(data: bytes, base: LinearizedFit) -> TrialFit:
-    """Trial from the bytes that `trial_to_bytes` made of it in a copy of this process.
+    """Trial that this process or a copy of it has turned into bytes.
 
     Parameters
     ----------
@@ -44,35 +35,26 @@ def trial_from_bytes(data: bytes, base: LinearizedFit) -> TrialFit:
 
 
 class _TrialPickler(pickle.Pickler):
-    """Names experiments by what distinguishes them from the base's, and equations by whose they are."""
-
-    def __init__(self, buffer: io.BytesIO, base: LinearizedFit) -> None:
-        super().__init__(buffer)
-        self._base = base
+    """Names experiments instead of writing them: by their place in memory, which a copy shares, and what they add."""
 
     @override
     def persistent_id(self, obj: object) -> object:
         if isinstance(obj, Experiment):
-            return obj.config.effects, dict(obj.equation.operating_point)
-        if isinstance(obj, LinearModel):
-            return "base" if obj is self._base.row_equation else "trial"
+            return id(obj), obj.config.effects, dict(obj.equation.operating_point)
         return None
 
 
 class _TrialUnpickler(pickle.Unpickler):
-    """Finds what `_TrialPickler` named."""
+    """Restores the experiments that `_TrialPickler` has named; those of the base are the same objects again."""
 
     def __init__(self, buffer: io.BytesIO, base: LinearizedFit) -> None:
         super().__init__(buffer)
-        self._base = base
-        self._experiment = base.experiment
+        self._base = base.experiment
+        self._experiments = {id(experiment): experiment for experiment in (base.experiment, base.row_experiment)}
 
     @override
-    def persistent_load(self, pid: Any) -> object:
-        if pid == "base":
-            return self._base.row_equation
-        if pid == "trial":
-            return self._experiment.equation  # a fit names its experiment first
-        entries, operating_point = pid
-        self._experiment = with_effects_at(self._base.experiment, entries, operating_point)
-        return self._experiment
+    def persistent_load(self, pid: Any) -> Experiment:
+        place, entries, operating_point = pid
+        if place not in self._experiments:
+            self._experiments[place] = with_effects_at(self._base, entries, operating_point)
+        return self._experiments[place]

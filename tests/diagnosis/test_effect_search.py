@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from disturbed import Hidden, experiment_of, silent, torque_on_joint
 
+from idtool.common import processes
 from idtool.common.exceptions import SolverError
-from idtool.diagnosis import candidate_fit, effect_order, effect_search
+from idtool.diagnosis import candidate_fit, effect_order, effect_search, selection_round
 from idtool.diagnosis.effect_order import StepErrors, first_harmful, order_effects
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
@@ -102,6 +103,27 @@ def test_what_was_found_beside_the_same_effects_is_not_searched_for_again(
     monkeypatch.setattr(effect_search, "find_best_effect", find_best_effect)
     search._replace_effects()
     assert searched == [[owners(search)[1]]]
+
+
+def test_one_core_chooses_as_two_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With two, candidates that turn out not to be needed are fitted too."""
+    experiment = experiment_of(tmp_path, together(spring, offset), rows=slice(8000))
+    search = EffectSearch(experiment, None, 4, silent)
+    rounds = []
+    for count in (1, 2):
+        monkeypatch.setattr(processes, "process_count", lambda count=count: count)
+        monkeypatch.setattr(selection_round, "process_count", lambda count=count: count)
+        rounds.append(selection_round.find_best_effect(search.current, search.initial, silent, None))
+    alone, shared = rounds
+    reasons = [{(one.effect, one.target): one.reason for one in each.rejected} for each in (alone, shared)]
+    assert reasons[0] == reasons[1]
+    finalists = [[one.winner, *one.indistinguishable, *one.runners_up] for one in rounds]
+    for one, other in zip(*finalists, strict=True):
+        assert one is not None
+        assert other is not None
+        assert (one.probe.effect, one.probe.joint) == (other.probe.effect, other.probe.joint)
+        np.testing.assert_allclose(one.gains, other.gains, rtol=1e-6, atol=1e-6 * abs(one.gain))
+        np.testing.assert_allclose(one.trial.linearized.theta, other.trial.linearized.theta, rtol=1e-6, atol=1e-9)
 
 
 def test_two_effects_that_are_there_stay(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from prescribed_motions import Log, prescribed_motion, silent, with_noise, with_
 from spatial_arm import experiment, written
 
 from idtool.common.exceptions import ConfigError
+from idtool.common.processes import in_processes
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.trial import (
     TrialFit,
@@ -23,6 +25,7 @@ from idtool.diagnosis.trial import (
     with_effects,
     with_fixed_inertia,
 )
+from idtool.diagnosis.trial_transfer import trial_from_bytes, trial_to_bytes
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
@@ -188,3 +191,30 @@ def test_what_else_is_known_is_kept(tmp_path: Path, log: Log) -> None:
     known = {"mass": {"bob": {"value": 3.0}}}
     base = with_fixed_inertia(grounded(tmp_path, log, known=known).experiment)
     np.testing.assert_allclose(fitted(base).estimate.theta[:10], base.equation.prior[:10], rtol=0, atol=1e-6)
+
+
+def in_a_copy(base: LinearizedFit, progress: Any) -> bytes:
+    """A trial that is fitted in another process, on the rows at which its own columns are defined."""
+    trial = found(base)
+    own = trial.linearized.experiment
+    on_own_rows = linearize_fit(own, silent, trial.linearized, own_rows=True)
+    moved = with_effects(own, trial.entries, trial.linearized.theta)
+    return trial_to_bytes(replace(trial, linearized=linearize_fit(moved, silent, on_own_rows)))
+
+
+def test_a_trial_of_a_copy_is_as_if_fitted_here(tmp_path: Path, log: Log) -> None:
+    base = grounded(tmp_path, log)
+    here, there = in_processes(in_a_copy, [base, base], silent)
+    assert len(there) < 1e6  # no log is sent
+    ours, theirs = trial_from_bytes(here, base), trial_from_bytes(there, base)
+    for trial in (ours, theirs):
+        fitted = trial.linearized
+        again = linearize_fit(fitted.experiment, silent, fitted)
+        np.testing.assert_array_equal(again.score, fitted.score)
+        np.testing.assert_array_equal(again.theta, fitted.theta)
+        assert fitted.row_experiment not in (fitted.experiment, base.row_experiment)
+    np.testing.assert_array_equal(ours.linearized.gram, theirs.linearized.gram)
+    assert ours.entries == theirs.entries
+    assert ours.errors == theirs.errors
+    kept = trial_from_bytes(trial_to_bytes(found(base)), base)
+    assert kept.linearized.row_experiment is base.row_experiment
