@@ -96,12 +96,13 @@ class Background(Generic[Result]):
             return
         self._receiver, sender = multiprocessing.Pipe(duplex=False)
         context = multiprocessing.get_context("fork")
-        self._process = context.Process(target=_evaluate_and_send, args=(evaluate, sender, os.getpid()), daemon=True)
-        with warnings.catch_warnings():
+        process = context.Process(target=_evaluate_and_send, args=(evaluate, sender, os.getpid()), daemon=True)
+        with warnings.catch_warnings(), suppress(OSError):  # there is no memory for a copy
             # The other threads are a progress bar's, whose locks a copy does not use, and those of a linear algebra
             # library, which prepares itself for the fork.
             warnings.simplefilter("ignore", DeprecationWarning)
-            self._process.start()
+            process.start()
+            self._process = process
         sender.close()
 
     def result(self, progress: Progress) -> Result:

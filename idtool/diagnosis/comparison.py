@@ -16,15 +16,16 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
-from idtool.common.names import join_names
+from idtool.common.names import capitalized, join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import parameter_text
 from idtool.data.inspection import inspect_log
 from idtool.data.pairing import LogPair, align
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.fitted_pair import ALL_BODIES, RIGID_BODY, FittedPair, GapLevel, TermKey, fitted_delay
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis.trial import with_effects
-from idtool.dynamics.effects import NamedEffect, effect_from_entry, mechanism_of
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_name, mechanism_of
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE, mass_com_inertia, symmetric_entries
@@ -32,6 +33,7 @@ from idtool.robot.model import RobotModel
 
 _MIN_SIGNIFICANCE = 3.0  # standard errors by which a parameter must differ
 _INSIGNIFICANT = f"differs by less than {_MIN_SIGNIFICANCE:g} standard errors"
+_UNKNOWN_ERROR = "its standard error in the simulator or on the robot is not known"
 _MIN_SHARE = 0.01  # of a joint's squared gap that a change must close
 _NEGLIGIBLE = 3e-3  # of a joint's torque, as its standard deviation: a smaller error does not matter
 _MAX_UNEXPLAINED = 0.05  # of a joint's rms torque that the simulator's model may leave
@@ -61,6 +63,11 @@ class Quantity:
     robot: Any
     robot_error: Any
     unit: str | None
+
+    @property
+    def has_errors(self) -> bool:
+        """True if both standard errors are known."""
+        return self.simulator_error is not None and self.robot_error is not None
 
     @property
     def is_significant(self) -> bool:
@@ -260,8 +267,8 @@ def _changes(pair: FittedPair) -> tuple[list[Change], list[TermKey]]:
     if delay_change is not None:
         changes.append(delay_change)
     for key, changes_of_key in differences.items():
-        gap_share = gap_shares.get(key, _GapShare(0.0, _INSIGNIFICANT))
         for change in changes_of_key:
+            gap_share = gap_shares.get(key, _GapShare(0.0, _insignificance(change)))
             changes.append(replace(change, share=gap_share.share, reason=gap_share.reason))
     changes.sort(key=lambda change: (bool(change.reason), -(change.share or 0.0)))
     return changes, _needed(gap_shares)
@@ -321,6 +328,12 @@ def _delay_change(pair: FittedPair) -> Change | None:
     quantity = Quantity(simulator.value, simulator.standard_error, robot.value, robot.standard_error, "s")
     reason = "" if quantity.is_significant else _INSIGNIFICANT
     return Change(COMMAND_DELAY, None, None, {"delay": quantity}, None, reason)
+
+
+def _insignificance(change: Change) -> str:
+    """Reason why a difference that is not significant needs no change, a few words."""
+    has_errors = any(quantity.has_errors for quantity in change.quantities.values())
+    return _INSIGNIFICANT if has_errors else _UNKNOWN_ERROR
 
 
 def _is_significant(change: Change) -> bool:
@@ -407,7 +420,7 @@ def _unexplained_simulator(simulator: Diagnosis) -> Obstacle | None:
     if not joints:
         return None
     reason = f"the simulator's own logs are not explained on {join_names(joints)}"
-    return Obstacle(reason, f"{_CHECK_SIMULATOR[:1].upper()}{_CHECK_SIMULATOR[1:]}. Then diagnose again.")
+    return Obstacle(reason, f"{capitalized(_CHECK_SIMULATOR)}. Then diagnose again.")
 
 
 def _unexplained_joints(simulator: Diagnosis) -> list[str]:
@@ -478,12 +491,10 @@ def _simulator_notices(simulator: Diagnosis) -> Iterator[Notice]:
         effect = effect_from_entry(entry, last.experiment.model)
         if _changes_bodies(effect, last.experiment.model):
             target = entry.link or entry.joint
-            name = effect.label or effect.id.replace("_", " ")
             parameter, value = next(iter(entry.values.items()))
-            size = f"{value:.3g}" if isinstance(value, float) else f"{np.round(value, 3).tolist()}"
-            unit = effect.parameter_units().get(parameter, "")
-            size = f"{parameter} {size} {unit}".rstrip()
-            message = f"the simulator's bodies are not those of the URDF: its logs show {name} ({size})"
+            size = parameter_text(parameter, value, unit=effect.parameter_units().get(parameter))
+            shown = f"{effect_name(entry.effect)} ({size})"
+            message = f"the simulator's bodies or gravity are not those of the URDF: its logs show {shown}"
             yield Notice("simulator_bodies_differ", "warning", target, message, _CHECK_SIMULATOR)
 
 

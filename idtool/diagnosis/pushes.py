@@ -1,4 +1,4 @@
-"""Pushes: time intervals in which a force acts on one link that comes and goes as it likes, along one direction.
+"""Pushes: time intervals in which a force acts on one link with any profile in time, along one direction.
 
 In a push, the joints' residuals share one force s(t) f at one point p of a link: e = −J_p(q)ᵀ f s(t). The profile s(t)
 is free, but there are several joints, whose ratio must be that of the Jacobian in every pose. Given f and p, s follows
@@ -192,7 +192,8 @@ def _push_on_link(
     index = np.concatenate([np.full(window.stop - window.start, k) for k, window in enumerate(windows)])
     valid = residual.valid[:, samples]
     linear, angular, R = frame_jacobian(model, Frame(i, np.eye(3), np.zeros(3)), residual.q[:, samples])
-    if np.count_nonzero(np.abs(linear).max(axis=(1, 2)) + np.abs(angular).max(axis=(1, 2)) > _TINY) < 2:
+    largest = np.abs(linear).max(axis=(1, 2)) + np.abs(angular).max(axis=(1, 2))
+    if np.count_nonzero(largest > _TINY) < 2:
         return None  # a free profile explains whatever is on one joint
     weight = (valid / (usual * residual.noise[:, None]))[:, None]
     data = _Windows(residual.e[:, samples] * valid / usual, linear * weight, angular * weight, R, index)
@@ -236,10 +237,12 @@ def _profiles(data: _Windows, b: Array, t: Array) -> list[list[tuple[float, floa
     return profiles
 
 
-def _burst(link: str, point: Array, profiles: Sequence[Sequence[tuple[float, float]]]) -> Burst:
-    """Burst of pushes on a link with these profiles."""
+def _burst(link: str, point: Array, profiles: Sequence[Sequence[tuple[float, float]]]) -> Burst | None:
+    """Burst of pushes on a link with these profiles; None if all are too short to have a size."""
     rows = [row for profile in profiles for row in profile]
     largest = max((size for _, size in rows), key=abs)
+    if not largest:
+        return None
     x, y, z = (round(float(value), 4) for value in point)
     return Burst(
         windows=tuple((round(profile[0][0], 4), round(profile[-1][0], 4)) for profile in profiles),
@@ -280,7 +283,7 @@ def _fit_force(data: _Windows, center: Array, starts: Sequence[tuple[Array, Arra
 
 
 def _is_push(data: _Windows, b: Array, residual: RobustResidual, samples: Indices) -> bool:
-    """True if the force acts on two joints, one way in each window, and not by fits and starts."""
+    """True if the force acts on two joints, in one direction in each window, and smoothly."""
     s = _profile(b, data.e)
     by_joint = np.sort(np.square(b * s).sum(axis=1))
     if by_joint[-2] < _MIN_SECOND_JOINT * by_joint.sum():

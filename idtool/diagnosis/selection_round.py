@@ -162,18 +162,8 @@ def _fit_best_candidates(
         Callback for the stage and its progress, from 0 to 1.
     """
     finalists: list[FittedCandidate] = []
-    rejected: list[Candidate] = []
     failed: list[Candidate] = []
-    min_gain = MIN_SIGNIFICANCE**2 * inflation
-    significant = []
-    for candidate in candidates:
-        if candidate.gain < min_gain:
-            break
-        true_gain = _without_cancelled_noise(candidate, base)
-        if true_gain.gain < min_gain:
-            rejected.append(screened_record(candidate, base, "explains only noise of the measured torque"))
-        else:
-            significant.append(true_gain)
+    significant, rejected = _significant_candidates(candidates, base, MIN_SIGNIFICANCE**2 * inflation)
 
     def fit_and_judge_one(candidate: ScreenedProbe, progress: Progress) -> _Judged | Exception:
         try:
@@ -202,6 +192,23 @@ def _fit_best_candidates(
         waiting = [candidate for candidate in waiting if candidate.gain >= _min_gain_ratio(candidate) * best_gain]
     finalists.sort(key=lambda finalist: -finalist.gain)
     return FullFits(finalists, rejected, failed)
+
+
+def _significant_candidates(
+    candidates: Sequence[ScreenedProbe], base: LinearizedFit, min_gain: float
+) -> tuple[list[ScreenedProbe], list[Candidate]]:
+    """Candidates with at least a gain, noise that they cancel not counted; and records of those without it."""
+    significant: list[ScreenedProbe] = []
+    rejected: list[Candidate] = []
+    for candidate in candidates:
+        if candidate.gain < min_gain:
+            break
+        without_noise = _without_cancelled_noise(candidate, base)
+        if without_noise.gain < min_gain:
+            rejected.append(screened_record(candidate, base, "explains only noise of the measured torque"))
+        else:
+            significant.append(without_noise)
+    return significant, rejected
 
 
 class _Judged(NamedTuple):

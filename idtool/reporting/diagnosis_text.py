@@ -192,8 +192,8 @@ def against_summary(report: AgainstReport, unit: str, floor: float | None, stopp
         caution = f"The comparison is incomplete: {_outcome(stopped)}. "
     elif report.inconclusive:
         caution = f"The comparison is not conclusive: {report.inconclusive}. "
-    before = report.torque_before["overall"] or 0.0
-    after = report.torque_after["overall"] or 0.0
+    before = report.torque_before["overall"]
+    after = report.torque_after["overall"]
     if not report.changes:
         noise = "the noise floor is not known" if floor is None else f"the noise floor is {number(floor)} {unit}"
         return (
@@ -207,10 +207,13 @@ def against_summary(report: AgainstReport, unit: str, floor: float | None, stopp
         links = "link" if len(bodies) == 1 else "links"
         differences.append(f"the inertia of the {links} ({', '.join(bodies)})")
     names = _join_words(differences)
+    difference = f"{caution}Simulator and robot differ in {names}."
+    if all(change.effect == COMMAND_DELAY for change in report.changes):  # which its torque error does not contain
+        return f"{difference} The simulator's torque error on the robot's logs is {number(before)} {unit} RMS."
     changes = "this change" if len(report.changes) == 1 else "these changes"
     return (
-        f"{caution}Simulator and robot differ in {names}. With {changes}, the simulator's torque error on the "
-        f"robot's logs goes from {number(before)} to {number(after)} {unit} RMS."
+        f"{difference} With {changes}, the simulator's torque error on the robot's logs goes from {number(before)} to "
+        f"{number(after)} {unit} RMS."
     )
 
 

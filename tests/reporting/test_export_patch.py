@@ -81,6 +81,20 @@ def test_a_spring_is_in_the_units_of_the_file(tmp_path: Path, angle: str | None,
     assert model.qpos_spring[at] == pytest.approx(0.5, rel=1e-5)  # 0.4 from the URDF's zero, which is at ref
 
 
+def test_the_zero_and_the_kind_of_a_joint_may_come_from_its_class(tmp_path: Path) -> None:
+    """A slide's spring is in metres whatever the file's angles are in."""
+    values = {"stiffness": 7.0, "rest_position": 0.4}
+    spring = change("parallel_spring", "elbow", **{name: (None, value) for name, value in values.items()})
+    effect = {"effect": "parallel_spring", "joint": "elbow", "parameters": values}
+    text = MJCF.replace('<compiler angle="radian"/>', "<compiler/>")
+    for attributes, rest in (('ref="10"', 0.4 + np.radians(10)), ('type="slide" ref="0.1"', 0.5)):
+        own_class = f'<default class="own"><joint {attributes}/></default></default>\n  <worldbody>'
+        classed = text.replace("</default>\n  <worldbody>", own_class)
+        classed = classed.replace('name="elbow" axis', 'name="elbow" class="own" axis')
+        model = loaded(export(tmp_path, classed, [spring], effect))
+        assert model.qpos_spring[model.joint("elbow").id] == pytest.approx(rest, rel=1e-5)
+
+
 def test_values_that_the_file_has_already_are_no_changes(tmp_path: Path) -> None:
     rotor = {"effect": "rotor_inertia", "joint": "elbow", "parameters": {"inertia": 0.05}}
     for name, root in (("scene.xml", MJCF), ("arm.urdf", URDF)):
@@ -223,6 +237,35 @@ def test_a_payload_of_the_simulator_alone_is_removed(tmp_path: Path) -> None:
     (part,) = bare.not_carried
     assert part.detail.startswith("the file's inertial, 1.000 kg")
     assert "is not the URDF's with the simulator's payload, 1.500 kg" in part.detail
+
+
+def test_a_payload_on_a_lumped_link_is_in_the_body_that_carries_it(tmp_path: Path) -> None:
+    payload = change("payload", None, "tool", **{name: (None, value) for name, value in PAYLOAD.items()})
+    flange = '<joint name="flange" type="fixed"><parent link="lower"/><child link="tool"/></joint></robot>'
+    tool = f'<link name="tool"/>{flange}'
+    entry = {"effect": "payload", "link": "tool", "parameters": PAYLOAD}
+    (tmp_path / "model.urdf").write_text(URDF.replace("</robot>", tool))
+    identified = model_of(tmp_path / "model.urdf", friction=FRICTION, effects=[entry])
+    (tmp_path / "scene.xml").write_text(MJCF)
+    result = patch_file(identified, tmp_path / "scene.xml", [payload])
+    assert result.not_carried == ()
+    assert loaded(result).body("lower").mass[0] == pytest.approx(1.5)
+
+
+def test_friction_is_written_beside_drag_that_a_urdf_has_no_place_for(tmp_path: Path) -> None:
+    drag = {"effect": "quadratic_drag", "joint": "elbow", "parameters": {"drag": 0.05}}
+    coulomb = change("coulomb_friction", "elbow", coulomb=(0.0, 0.1))
+    viscous = change("viscous_friction", "elbow", viscous=(0.0, 0.2))
+    result = export(tmp_path, URDF, [coulomb, viscous], drag, name="arm.urdf")
+    assert [part.what for part in result.carried] == ["coulomb_friction"]
+    assert [part.what for part in result.not_carried] == ["viscous_friction"]
+
+
+def test_a_joint_of_the_world_is_refused(tmp_path: Path) -> None:
+    text = MJCF.replace("<worldbody>", '<worldbody><joint name="base_joint"/>').replace('"yaw"', '"other"')
+    tilt = change("gravity_tilt", None, gravity=(None, [0.5, 0.0, -9.797]))
+    with pytest.raises(ModelError, match="joint yaw is in no body"):
+        export(tmp_path, text.replace("base_joint", "yaw"), [tilt])
 
 
 def test_identified_rotors_are_listed(tmp_path: Path) -> None:

@@ -220,9 +220,9 @@ class _FreeLink:
         self.sample_count = len(velocity)
         self.driven_up: list[int] = np.flatnonzero(transmitted > 0).tolist()
         self.driven_down: list[int] = np.flatnonzero(transmitted < 0).tolist()
-        # changes of the relative velocity per sample, if the link moved as the motor does
-        self._driving = (without_dry_friction / inertia * self.dt).tolist()
-        self._damping = (1 + link_viscosity / inertia * self.dt).tolist()
+        # per sample, while the link would move as the motor does
+        self._velocity_gain = (without_dry_friction / inertia * self.dt).tolist()
+        self._damping_divisor = (1 + link_viscosity / inertia * self.dt).tolist()
         self._dry_friction = ((1 - motor_friction) * dry_friction_level / inertia * self.dt).tolist()
         self._motor_velocity = velocity.tolist()
         self._paths: dict[int, tuple[Array, float]] = {}  # by sample: displacements since, and the last velocity
@@ -260,7 +260,7 @@ class _FreeLink:
         displacement = float(path[-1]) if len(path) else 0.0
         displacements = []
         for k in samples:
-            damped_velocity = (velocity + self._driving[k]) / self._damping[k]
+            damped_velocity = (velocity + self._velocity_gain[k]) / self._damping_divisor[k]
             # Dry friction slows the link down, at most to rest.
             link_velocity = self._motor_velocity[k] - damped_velocity
             most_slowing = self._dry_friction[k]

@@ -24,13 +24,15 @@ class FilePatch(ABC):
     Attributes
     ----------
     plan
-        The new values. Parts that the file turns out to have no place for are added to its ``not_carried``.
+        The new values.
     path, text
         The file and its content.
     root
         Its root element.
     carried
         Parts that are in the patched file and were not in it before.
+    not_carried
+        Parts of the plan that the file turns out to have no place for.
     """
 
     def __init__(self, plan: PatchPlan, path: Path, text: bytes) -> None:
@@ -39,6 +41,7 @@ class FilePatch(ABC):
         self.text = text
         self.root = root_element(text)
         self.carried: list[Part] = []
+        self.not_carried: list[Part] = []
 
     def patched(self) -> bytes:
         """The file with the values of the plan."""
@@ -50,7 +53,7 @@ class FilePatch(ABC):
             if not is_acceptable(body_change.pi):
                 raise unrealizable_error(self.plan.identified.robot, body_change.body.name)
             self.set_body(body_change)
-        return self.apply_edits()
+        return self.edited_text()
 
     @abstractmethod
     def set_joint(self, change: JointChange) -> None:
@@ -65,7 +68,7 @@ class FilePatch(ABC):
         """Edit the inertia of a body."""
 
     @abstractmethod
-    def apply_edits(self) -> bytes:
+    def edited_text(self) -> bytes:
         """The file with the edits."""
 
     def find_joint(self, joints: Mapping[str, Element], name: str) -> Element:

@@ -66,7 +66,7 @@ class MjcfPatch(FilePatch):
                 f"the file turns {turned.tag} {turned.name}".rstrip() + " and the robot with it; set gravity by hand: "
                 f"it is [{values}] m/s² in the root link's frame"
             )
-            self.plan.not_carried.append(replace(tilt, detail=detail))
+            self.not_carried.append(replace(tilt, detail=detail))
             return
         gravity = vector_text(self.plan.gravity)
         option = self.root.first("option")
@@ -81,10 +81,10 @@ class MjcfPatch(FilePatch):
         body = self._bodies.get(change.body.name)
         inertial = body.first("inertial") if body else None
         if inertial is None:
-            self.plan.not_carried.append(replace(change.part, detail="the file has no inertial of this body"))
+            self.not_carried.append(replace(change.part, detail="the file has no inertial of this body"))
             return
         if reason := self._inertial_mismatch(inertial, change):
-            self.plan.not_carried.append(replace(change.part, detail=reason))
+            self.not_carried.append(replace(change.part, detail=reason))
             return
         if has_mjcf_inertia(inertial, change.pi):
             return
@@ -94,15 +94,19 @@ class MjcfPatch(FilePatch):
         self.carried.append(replace(change.part, detail=detail))
 
     @override
-    def apply_edits(self) -> bytes:
+    def edited_text(self) -> bytes:
         return apply_edits(self.text, _merged(self._edits.values()))
 
-    def _present_value(self, joint: Element, name: str) -> str | None:
-        """An attribute of a joint, its own or that of its default class; None if another file may have it."""
-        default = None if self._has_include else "0"
+    def _attribute(self, joint: Element, name: str) -> str | None:
+        """An attribute of a joint, its own or that of its default class; None if neither has it."""
         own_class = joint.attributes.get("class", self._child_class(joint))
         inherited = self._defaults.get(own_class, {})
-        return joint.attributes.get(name, inherited.get(name, default))
+        return joint.attributes.get(name, inherited.get(name))
+
+    def _present_value(self, joint: Element, name: str) -> str | None:
+        """An attribute of a joint that is 0 by default; None if another file may have it."""
+        value = self._attribute(joint, name)
+        return "0" if value is None and not self._has_include else value
 
     def _child_class(self, joint: Element) -> str:
         """Default class of a joint that names none: that of the innermost body around it that gives one."""
@@ -116,8 +120,8 @@ class MjcfPatch(FilePatch):
         """New value of an attribute of a joint."""
         forces = self.plan.forces[joint_name]
         if name == "springref":
-            zero = self._read_numbers(joint, "ref", "0")[0]  # in the file's own unit
-            is_angle = joint.attributes.get("type", "hinge") == "hinge"
+            zero = self._numbers(joint, "ref", self._attribute(joint, "ref") or "0")[0]  # in the file's own unit
+            is_angle = (self._attribute(joint, "type") or "hinge") == "hinge"
             unit = np.degrees(1.0) if is_angle and self._uses_degrees() else 1.0
             return number_text(forces.springref * unit + zero)
         if name == "damping" and forces.drag:
@@ -142,7 +146,10 @@ class MjcfPatch(FilePatch):
             if joint is None or body.mount.body >= 0:
                 continue
             enclosing = [element for element in self._world if element.start < joint.start < element.stop]
-            *ancestors, own = [element for element in enclosing if element.tag in ("body", "frame")]
+            holders = [element for element in enclosing if element.tag in ("body", "frame")]
+            if not holders:
+                raise ModelError(self.path, f"joint {joint.name} is in no body")
+            *ancestors, own = holders
             is_turned_in_urdf = not np.allclose(body.mount.R, np.eye(3))
             for element in ancestors if is_turned_in_urdf else [*ancestors, own]:
                 if is_turned(element):
@@ -159,8 +166,8 @@ class MjcfPatch(FilePatch):
 
     def _inertial_mismatch(self, inertial: Element, change: BodyChange) -> str:
         """Reason why an inertial cannot be replaced, since it is not the expected one; empty if it is."""
-        mass = float(self._read_numbers(inertial, "mass", "0")[0])
-        com = self._read_numbers(inertial, "pos", "0 0 0")
+        mass = float(self._numbers(inertial, "mass", inertial.attributes.get("mass", "0"))[0])
+        com = self._numbers(inertial, "pos", inertial.attributes.get("pos", "0 0 0"), count=3)
         is_same_mass = abs(mass - change.mass) <= _MASS_TOLERANCE * change.mass
         if is_same_mass and np.abs(com - change.com).max() <= _COM_TOLERANCE:
             return ""
@@ -169,16 +176,14 @@ class MjcfPatch(FilePatch):
             f"{_mass_and_com(change.mass, change.com)}, so its frame is unknown"
         )
 
-    def _read_numbers(self, element: Element, name: str, default: str) -> Array:
-        """The numbers in an attribute, as many as the default has.
+    def _numbers(self, element: Element, name: str, written: str, count: int = 1) -> Array:
+        """The numbers in an attribute as written.
 
         Raises
         ------
         ModelError
             If it holds something else.
         """
-        written = element.attributes.get(name, default)
-        count = len(default.split())
         try:
             numbers = np.array([float(x) for x in written.split()])
         except ValueError:

@@ -50,4 +50,5 @@ def patch_file(identified: IdentifiedModel, path: Path, changes: Sequence[Change
     patch = _FORMATS[tag](plan, path, text)
     content = patch.patched()
     name = f"{path.stem}_patched{path.suffix}"
-    return Export(name, content, tuple(patch.carried), tuple(dict.fromkeys(plan.not_carried)))
+    not_carried = dict.fromkeys([*plan.not_carried, *patch.not_carried])
+    return Export(name, content, tuple(patch.carried), tuple(not_carried))

@@ -156,8 +156,9 @@ class PatchPlan:
             return
         values = {name: parameter.robot for name, parameter in change.parameters.items()}
         pi = from_mass_com_inertia(values["mass"], values["com"], symmetric_matrix(values["inertia_com"]))
-        mass, com = (change.parameters[name].simulator for name in ("mass", "com"))
-        self.bodies.append(BodyChange(part, body, pi, mass, np.array(com)))
+        mass = change.parameters["mass"].simulator
+        com = np.array(change.parameters["com"].simulator)
+        self.bodies.append(BodyChange(part, body, pi, mass, com))
 
     def _add_change(self, change: ChangeReport) -> None:
         """Write another effect as the robot has it, or remove one that it does not have."""
@@ -166,11 +167,13 @@ class PatchPlan:
         robot = _forward_effect(change, "robot", model)
         mechanisms = (simulator.mechanism, robot.mechanism)
         part = _part(change, _torque_delay(simulator.mechanism) - _torque_delay(robot.mechanism))
-        links = [body.name for body in model.bodies]
         if change.joint in self.forces:
             self._add_term(EffectTorque(change.effect, str(change.joint), robot.elements, ()))
-        if change.link in links and any(mechanism.pi.any() for mechanism in mechanisms):
-            index = links.index(change.link)
+        changed_bodies = np.flatnonzero(
+            (simulator.mechanism.pi != 0).any(axis=1) | (robot.mechanism.pi != 0).any(axis=1)
+        )
+        if len(changed_bodies):  # the one that a payload's link is part of
+            index = int(changed_bodies[0])
             self._add_body(index, part, simulator.mechanism.pi[index])
         elif simulator.changes_gravity or robot.changes_gravity:
             self.gravity = robot.mechanism.gravity
@@ -226,7 +229,8 @@ def _forward_effect(change: ChangeReport, side: Literal["simulator", "robot"], m
     effect = effect_from_entry(entry, model)
     theta = np.array([c.prior for c in effect.coefficients])
     mechanism = mechanism_of(effect, model)
-    return _ForwardEffect(effect.simulator_elements(theta), mechanism, mechanism.model is not model)
+    changes_gravity = bool((mechanism.gravity != model.gravity).any())
+    return _ForwardEffect(effect.simulator_elements(theta), mechanism, changes_gravity)
 
 
 def _torque_delay(mechanism: Mechanism) -> float:

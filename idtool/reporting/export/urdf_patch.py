@@ -33,8 +33,9 @@ class UrdfPatch(FilePatch):
     def set_joint(self, change: JointChange) -> None:
         joint_name = change.part.of
         forces = self.plan.forces[joint_name]
-        if not set(change.attributes) <= set(_URDF_NAMES) or forces.drag:
-            self.plan.not_carried.append(change.part)
+        needs_drag = "damping" in change.attributes and forces.drag
+        if needs_drag or not set(change.attributes) <= set(_URDF_NAMES):
+            self.not_carried.append(change.part)
             return
         present = self.find_joint(self._joints, joint_name).first("dynamics")
         attributes = present.attributes if present else {}
@@ -52,13 +53,13 @@ class UrdfPatch(FilePatch):
     @override
     def set_gravity(self, tilt: Part) -> None:
         """List gravity, which no URDF has."""
-        self.plan.not_carried.append(tilt)
+        self.not_carried.append(tilt)
 
     @override
     def set_body(self, change: BodyChange) -> None:
         new = link_parameters(change.body, change.pi, self.plan.identified.robot.links)
         if not set(new) <= set(self._links):
-            self.plan.not_carried.append(replace(change.part, detail="the file has no such link"))
+            self.not_carried.append(replace(change.part, detail="the file has no such link"))
             return
         if all(has_urdf_inertia(self._links[name], pi) for name, pi in new.items()):
             return
@@ -67,5 +68,5 @@ class UrdfPatch(FilePatch):
         self.carried.append(replace(change.part, detail=f"inertial, mass {four_digits(change.mass)} → {mass}"))
 
     @override
-    def apply_edits(self) -> bytes:
+    def edited_text(self) -> bytes:
         return replace_parameters(self.text, self._inertias, self._dynamics)
