@@ -7,17 +7,19 @@ be undetermined by the data.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.held_out_error import held_out_mean_squares, lowers_held_out_likelihood
-from idtool.diagnosis.linearized_fit import LinearizedFit
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import FittedCandidate, block_gains, is_reportable
 from idtool.diagnosis.screen import ScreenedProbe
 from idtool.diagnosis.trial import FAILURES, TrialFit, failure_reason, fit_trial, parameter_value
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.estimation.dataset.experiment import Progress
 
@@ -76,14 +78,19 @@ def fit_candidate(
     trial = fit_trial(base, entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS if others else 1)
     if _undetermined_parameter(trial):  # it may be determined closer to the optimum
         trial = fit_trial(base, trial.entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
+    if others and trial.linearized.row_experiment is not base.row_experiment:
+        on_rows_of_base = linearize_fit(trial.linearized.experiment, progress, base)
+        trial = replace(trial, linearized=on_rows_of_base)
     return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
 
 
 def _movable_on_joint(base: LinearizedFit, joint: str | None) -> list[int]:
-    """Indices of the model's effects on a joint that have nonlinear parameters to move along a gradient."""
+    """Indices of the model's effects on a joint that have nonlinear parameters to move."""
     movable = []
     for i, entry in enumerate(base.experiment.config.effects):
-        if joint is not None and entry.joint == joint and effect_types()[entry.effect].gradient_parameters():
+        kind = effect_types()[entry.effect]
+        is_on_joint = joint is not None and entry.joint == joint
+        if is_on_joint and issubclass(kind, JointEffect) and (kind.gradient_parameters() or kind.grid_parameters()):
             movable.append(i)
     return movable
 

@@ -71,7 +71,7 @@ def find_unproven(
 
     largest = int(np.argmax(totals))
     for k in np.argsort(totals).tolist():
-        share = _explained_share(explained[k], above_floor)
+        share = _explained_share(explained[k], above_floor, np.square(floor.noise))
         is_small = k != largest and totals[k] < _MIN_SHARE_OF_LARGEST * totals[largest]
         if is_small and share < _MIN_EXPLAINED:
             return UnprovenEffect(k, "it explains less than a tenth of what another effect does")
@@ -83,8 +83,8 @@ def find_unproven(
     return None
 
 
-def _explained_share(explained: Array, above_floor: Array) -> float:
-    """Share of the residual above the noise floor that an effect explains, on the joint where it explains most.
+def _explained_share(explained: Array, above_floor: Array, noise: Array) -> float:
+    """Share of the residual above the noise floor that an effect explains, on the joint where it shows most clearly.
 
     Parameters
     ----------
@@ -92,6 +92,8 @@ def _explained_share(explained: Array, above_floor: Array) -> float:
         Mean square that it explains of each joint's residual, shape (nv,).
     above_floor
         Mean square that remains above the noise floor with it, at the rows where it is defined, shape (nv,).
+    noise
+        Mean square of each joint's noise, shape (nv,).
     """
-    j = int(np.argmax(explained))
+    j = int(np.argmax(explained / np.maximum(noise, np.finfo(float).tiny)))
     return float(explained[j] / max(explained[j] + above_floor[j], np.finfo(float).tiny))

@@ -111,7 +111,7 @@ class LinearizedModel:
     def link_load(self, motion: Motion, joint: int) -> tuple[Array, Array]:
         """Torque and inertia of what a joint's link carries, without the rotors; shape (N,) each."""
         rotor_torque = self._rotor_inertia[joint] @ self.true_motion.a
-        rotor_torque = rotor_torque + self._added_rotor_inertia(joint) * motion.a[joint]
+        rotor_torque = rotor_torque + self.added_rotor_inertia(joint) * motion.a[joint]
         inertia = self._derivative("a", joint)[joint] - self._rotor_inertia[joint, joint]
         return self.predicted_torque[joint] - rotor_torque, inertia
 
@@ -144,6 +144,15 @@ class LinearizedModel:
                 level += np.abs(theta @ effect_columns(effect, self.true_motion)[joint])
         return level
 
+    def added_rotor_inertia(self, joint: int) -> float:
+        """Inertia of a joint's rotors that are not bodies."""
+        inertia = 0.0
+        for effect, part in self.equation.effect_slices():
+            theta = self.theta[part]
+            if isinstance(effect, NamedEffect) and effect.is_rotor_inertia:
+                inertia += float(theta[effect.active[joint]].sum())
+        return inertia
+
     def _frictions_of(self, joint: int) -> Iterator[tuple[Effect, Array]]:
         """Effects of a joint's friction, each with the coefficients that act on the joint."""
         for effect, part in self.equation.effect_slices():
@@ -172,15 +181,6 @@ class LinearizedModel:
                 axial = body.axial_inertia(pi)
                 is_near = abs(axial - prior) < _MAX_ROTOR_CHANGE * prior
                 inertia += (axial if is_near else prior) * np.outer(body.ratios, body.ratios)
-        return inertia
-
-    def _added_rotor_inertia(self, joint: int) -> float:
-        """Inertia of a joint's rotors that are not bodies."""
-        inertia = 0.0
-        for effect, part in self.equation.effect_slices():
-            theta = self.theta[part]
-            if isinstance(effect, NamedEffect) and effect.is_rotor_inertia:
-                inertia += float(theta[effect.active[joint]].sum())
         return inertia
 
     @cached_property

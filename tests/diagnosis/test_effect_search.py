@@ -126,6 +126,29 @@ def test_one_core_chooses_as_two_do(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         np.testing.assert_allclose(one.trial.linearized.theta, other.trial.linearized.theta, rtol=1e-6, atol=1e-9)
 
 
+def test_a_play_is_fitted_anew_with_what_changes_the_torque_on_its_teeth(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a candidate that would be refused; on its rows, the two models compare."""
+    play = EffectEntry(effect="backlash", joint="j1", parameters={"width": 0.0005})
+    experiment = experiment_of(tmp_path, spring, rows=slice(8000), effects=[play])
+    base = linearize_fit(experiment, silent)
+    moved = []
+    inner = candidate_fit.fit_trial
+
+    def fit_trial(before: LinearizedFit, entries: Any, moving: Sequence[int], *others: Any, **options: Any) -> Any:
+        moved.append(list(moving))
+        return inner(before, entries, moving, *others, **options)
+
+    monkeypatch.setattr(candidate_fit, "fit_trial", fit_trial)
+    monkeypatch.setattr(candidate_fit, "_objection", lambda *arguments: "as this test wants it")
+    monkeypatch.setattr(processes, "process_count", lambda: 1)
+    monkeypatch.setattr(selection_round, "process_count", lambda: 1)
+    selection = selection_round.find_best_effect(base, base, silent, ("parallel_spring",))
+    assert {candidate.reason for candidate in selection.rejected} >= {"as this test wants it"}
+    assert moved == [[1], [0, 1]]
+
+
 def test_two_effects_that_are_there_stay(tmp_path: Path) -> None:
     search = search_with(experiment_of(tmp_path, together(spring, offset), rows=slice(8000)), [SPRING, OFFSET])
     before = search.current

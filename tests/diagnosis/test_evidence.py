@@ -18,7 +18,7 @@ from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import Diagnosis, PartEstimate
 from idtool.diagnosis.trial import with_effects
-from idtool.diagnosis.unproven import find_unproven
+from idtool.diagnosis.unproven import _explained_share, find_unproven
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
 
@@ -94,6 +94,12 @@ def test_a_small_effect_must_bring_its_joint_to_the_noise_floor(
     without = [linearize_fit(with_effects(experiment, [one]), silent, current) for one in (DRAG, SPRING)]
     found = find_unproven(current, [SPRING, DRAG], without, silent)
     assert (found.index if found else None) == unproven
+
+
+def test_what_a_small_effect_explains_counts_in_units_of_each_joints_noise() -> None:
+    """On a joint with much noise, it may explain more torque, and yet next to nothing of what is there."""
+    explained, above_floor, noise = np.array([0.010, 0.004]), np.array([0.05, 0.0001]), np.array([0.3, 0.001])
+    assert _explained_share(explained, above_floor, noise) == pytest.approx(0.004 / 0.0041)
 
 
 @pytest.mark.parametrize(("later", "unproven"), [(1.0, False), (0.3, True)])

@@ -104,6 +104,12 @@ def test_an_elastic_joint_leaves_only_noise_and_moves_as_it_did(tmp_path: Path, 
     assert np.abs(rolled_out(tmp_path, elastic, rotors=rotors)).max() > 1e-2
 
 
+def test_a_rotor_that_is_no_body_turns_with_the_motor_too(tmp_path: Path, elastic: Log) -> None:
+    inertia = entry("rotor_inertia", "lift", inertia=MOTOR * N**2)
+    with_it, _ = residuals(tmp_path, elastic, inertia, ELASTICITY)
+    assert (with_it[1:] < 1.2).all()  # the first joint turns the mass of the motor too
+
+
 RUBBING = 6.0  # N·m·s/rad at the joint
 
 

@@ -53,8 +53,8 @@ class JointElasticity(FixedJointEffect):
     In the torque equation the deflection is computed from the log:
 
     1. The motion of the motor, theta and its derivatives, and the torque tau are measured.
-    2. The transmitted torque is tau less B d²theta/dt², with the prior inertia of the rotors, and less tau_f, which the
-       model with rigid joints gives along theta.
+    2. The transmitted torque is tau less B d²theta/dt², with the prior inertia of the rotors and that of a
+       `rotor_inertia`, and less tau_f, which the model with rigid joints gives along theta.
     3. Where the motor reverses, tau_f jumps at a time that is not known to the sample; a spring's torque does not jump.
        If tau_f is not 0, the transmitted torque within 2 ms of a reversal is therefore replaced by what continues the
        torque before and after it within the band of step 5.
@@ -66,9 +66,8 @@ class JointElasticity(FixedJointEffect):
        rotors and friction included, act along it.
     7. Rotors and tau_f act along theta, though: what they take more there is added to the torque.
 
-    Samples at the ends of the data and near reversals of the link are left out; see `invalid_mask`. The inertia of a
-    `rotor_inertia` has no prior, and is left out of B in steps 2, 4 and 7: give a heavy rotor under `rotors`. The
-    forward model needs one of the two on the joint.
+    Samples at the ends of the data and near reversals of the link are left out; see `invalid_mask`. The forward model
+    needs a rotor or a `rotor_inertia` on the joint.
     """
 
     id = "joint_elasticity"
@@ -130,6 +129,7 @@ class JointElasticity(FixedJointEffect):
         At c = 0, T is 0, so that d delta/dc = tau_J: the deflection of a spring of stiffness 1 without a damper.
         """
         unit_spring = cls(summary.model, joint, {"stiffness": 1.0})
+        unit_spring.set_operating_point(lambda _: linearized, np.empty(0))
         motor_friction_torque = nonlinear_values["motor_friction"] * linearized.friction_torque(joint)
         q, v, a = unit_spring._deflection(motion, motor_friction_torque)
         return linearized.torque_change_by_motion(joint, -q, -v, -a)
@@ -147,7 +147,8 @@ class JointElasticity(FixedJointEffect):
     @override
     def correct_motion(self, motion: Motion) -> Motion:
         """Motion of the link, from that of the motor; steps 1 to 6 of the class."""
-        deflection = self._deflection(motion, self._motor_friction_torque(motion), self._retardation_time)
+        retardation_time = self._retardation_time(self._rotor_inertia(motion)[self.joint])
+        deflection = self._deflection(motion, self._motor_friction_torque(motion), retardation_time)
         link_motion = self._displaced(motion, -deflection)
         return replace(link_motion, motor_minus_link={**motion.motor_minus_link, self.joint: deflection})
 
@@ -210,10 +211,8 @@ class JointElasticity(FixedJointEffect):
             motor_friction=max(transmission.motor_friction, self.nonlinear_values["motor_friction"]),
         )
 
-    @property
-    def _retardation_time(self) -> float:
+    def _retardation_time(self, inertia: float) -> float:
         """Time constant D / K = 2 · 0.05 √(B / K) by which the damper makes the deflection lag the torque [s]."""
-        inertia = self._reflected_inertia[self.joint, self.joint]
         return float(2 * _DAMPING_RATIO * np.sqrt(inertia / self.nonlinear_values["stiffness"]))
 
     def _deflection(self, motion: Motion, motor_friction_torque: Array, retardation_time: float = 0.0) -> Array:
@@ -249,7 +248,14 @@ class JointElasticity(FixedJointEffect):
 
     def _rotor_torque(self, motion: Motion) -> Array:
         """Torque that accelerates the joint's rotors, shape (N,) [N·m or N]."""
-        return np.asarray(self._reflected_inertia[self.joint] @ motion.a)
+        return np.asarray(self._rotor_inertia(motion) @ motion.a)
+
+    def _rotor_inertia(self, motion: Motion) -> Array:
+        """Torque that the rotors take on this joint per acceleration of each joint along a motion, shape (nv,)."""
+        inertia: Array = self._reflected_inertia[self.joint].copy()
+        if self._rigid_joint_model is not None:
+            inertia[self.joint] += self._rigid_joint_model(motion).added_rotor_inertia(self.joint)
+        return inertia
 
     def _highest_clear_frequency(self, motion: Motion) -> float:
         """Highest frequency at which the transmitted torque is above its noise, one of `_possible_cutoffs` [Hz].

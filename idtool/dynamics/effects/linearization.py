@@ -42,3 +42,6 @@ class Linearization(Protocol):
 
     def dry_friction(self, joint: int) -> tuple[Array, Array]:
         """Torque of a joint's dry friction, and its level, which it has in motion; shape (N,) each [N·m or N]."""
+
+    def added_rotor_inertia(self, joint: int) -> float:
+        """Inertia of a joint's rotors that are not bodies [kg·m² or kg]."""

@@ -31,7 +31,12 @@ class RotorInertia(JointTerm):
 
     @override
     def column(self, motion: Motion) -> Array:
-        return np.asarray(motion.a[self.joint])
+        """Acceleration of the motor, with which the rotor turns, shape (N,)."""
+        joint = int(self.joint)
+        acceleration = motion.a[joint]
+        if joint in motion.motor_minus_link:
+            acceleration = acceleration + motion.motor_minus_link[joint][2]
+        return np.asarray(acceleration)
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
