@@ -6,7 +6,7 @@ be undetermined by the data.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,11 +22,12 @@ from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.estimation.dataset.experiment import Progress
+from idtool.robot.config import EffectEntry
 
 _MAX_GAUSS_NEWTON_STEPS = 5  # of the fit of a candidate for which one step is not enough
 _MAX_HELD_OUT_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
 _MAX_LOSS_SHARE = 0.2  # of its gains in some blocks, that an effect may lose in others
-MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter is at least from zero
+_MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter is at least from zero
 # of a joint's squared residual without any effect: the effects found are assumed accurate to 1 %, squared 1e-4
 _MIN_SAVED_SHARE = 1e-4
 _MIN_SHARE_OF_TORQUE = 5e-3  # of a joint's rms torque, that an effect must have to be named
@@ -78,10 +79,47 @@ def fit_candidate(
     trial = fit_trial(base, entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS if others else 1)
     if _undetermined_parameter(trial):  # it may be determined closer to the optimum
         trial = fit_trial(base, trial.entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
+    if _undetermined_parameter(trial):  # it may be determined if there is nothing else to determine
+        simpler = without_undetermined(trial.entries[-1], _errors_of_newest(trial))
+        if simpler is not trial.entries[-1]:
+            simpler_entries = (*trial.entries[:-1], simpler)
+            trial = fit_trial(base, simpler_entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
     if others and trial.linearized.row_experiment is not base.row_experiment:
         on_rows_of_base = linearize_fit(trial.linearized.experiment, progress, base)
         trial = replace(trial, linearized=on_rows_of_base)
     return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
+
+
+def without_undetermined(entry: EffectEntry, errors: Mapping[str, float]) -> EffectEntry:
+    """Entry of an effect without the optional parameters that do not differ significantly from 0.
+
+    Parameters
+    ----------
+    entry
+        The entry.
+    errors
+        Standard errors of its nonlinear parameters.
+
+    Returns
+    -------
+    The same object if there are none.
+    """
+    parameters = dict(entry.parameters)
+    for parameter in effect_types()[entry.effect].nonlinear_parameters:
+        name = parameter.name
+        if parameter.optional_maximum is not None and name in parameters:
+            least = _MIN_PARAMETER_SIGNIFICANCE * errors.get(name, 0.0)
+            if not float(parameters[name]) > least:
+                del parameters[name]
+    if len(parameters) == len(entry.parameters):
+        return entry
+    return entry.model_copy(update={"parameters": parameters})
+
+
+def _errors_of_newest(trial: TrialFit) -> dict[str, float]:
+    """Standard errors of the newest effect's nonlinear parameters that were moved."""
+    last = len(trial.entries) - 1
+    return {name: error for (i, name), error in trial.errors.items() if i == last}
 
 
 def _movable_on_joint(base: LinearizedFit, joint: str | None) -> list[int]:
@@ -180,7 +218,7 @@ def _max_standard_error(parameter: NonlinearParameter, value: float) -> float:
     if parameter.max_standard_error is not None:
         return parameter.max_standard_error
     if parameter.positive:
-        return value / MIN_PARAMETER_SIGNIFICANCE
+        return value / _MIN_PARAMETER_SIGNIFICANCE
     return np.inf
 
 

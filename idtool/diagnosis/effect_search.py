@@ -12,7 +12,7 @@ from itertools import combinations
 from idtool.common.exceptions import ConfigError
 from idtool.common.processes import in_processes, interleaved_shares
 from idtool.diagnosis.bursts import find_bursts
-from idtool.diagnosis.candidate_fit import MIN_PARAMETER_SIGNIFICANCE, not_fitted_reason
+from idtool.diagnosis.candidate_fit import not_fitted_reason, without_undetermined
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
@@ -496,7 +496,7 @@ class EffectSearch:
 
     def _drop_undetermined_parameters(self) -> None:
         """Leave out optional parameters that the data do not determine."""
-        entries = [_without_undetermined(effect) for effect in self.added]
+        entries = [without_undetermined(effect.entry, effect.errors) for effect in self.added]
         is_same = [entry is effect.entry for entry, effect in zip(entries, self.added, strict=True)]
         if all(is_same):
             return
@@ -510,20 +510,3 @@ class EffectSearch:
 def _subjects(entries: Sequence[EffectEntry]) -> list[tuple[str, str]]:
     """Effects and what they act on, in alphabetical order."""
     return sorted((entry.effect, entry.joint or entry.link or "") for entry in entries)
-
-
-def _without_undetermined(effect: AddedEffect) -> EffectEntry:
-    """Entry of an effect without the optional parameters that do not differ significantly from 0.
-
-    It is the same object if there are none.
-    """
-    parameters = dict(effect.entry.parameters)
-    for parameter in effect_types()[effect.entry.effect].nonlinear_parameters:
-        name = parameter.name
-        if parameter.optional_maximum is not None and name in parameters:
-            least = MIN_PARAMETER_SIGNIFICANCE * effect.errors.get(name, 0.0)
-            if not float(parameters[name]) > least:
-                del parameters[name]
-    if len(parameters) == len(effect.entry.parameters):
-        return effect.entry
-    return effect.entry.model_copy(update={"parameters": parameters})
