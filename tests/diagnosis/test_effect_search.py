@@ -19,7 +19,7 @@ from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN
-from idtool.diagnosis.trial import with_fixed_inertia
+from idtool.diagnosis.trial import TrialFit, with_fixed_inertia
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import fit
 from idtool.robot.config import EffectEntry
@@ -147,6 +147,30 @@ def test_a_play_is_fitted_anew_with_what_changes_the_torque_on_its_teeth(
     selection = selection_round.find_best_effect(base, base, silent, ("parallel_spring",))
     assert {candidate.reason for candidate in selection.rejected} >= {"as this test wants it"}
     assert moved == [[1], [0, 1]]
+
+
+def test_what_is_optional_gives_way_to_what_the_data_then_determine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Friction that builds up over 0.05 rad, without damping, whose displacement counts as undetermined beside one."""
+
+    def dahl(t: Any, q: Any, v: Any, tau: Any) -> Any:
+        states = [0.0]
+        for path in np.diff(q):
+            states.append(states[-1] + path / 0.05 * (1 - states[-1] * np.sign(path)))
+        return 0.8 * np.array(states)
+
+    def undetermined(trial: TrialFit) -> str:
+        return "displacement" if "damping" in trial.entries[-1].parameters else ""
+
+    experiment = experiment_of(tmp_path, torque_on_joint(0, dahl), rows=slice(8000))
+    base = linearize_fit(experiment, silent)
+    monkeypatch.setattr(candidate_fit, "_undetermined_parameter", undetermined)
+    winner = selection_round.find_best_effect(base, base, silent, ("presliding_hysteresis",)).winner
+    assert winner is not None
+    found = winner.trial.entries[-1].parameters
+    assert set(found) == {"amplitude", "displacement"}
+    assert found["displacement"] == pytest.approx(0.05, rel=0.1)
 
 
 def test_two_effects_that_are_there_stay(tmp_path: Path) -> None:
