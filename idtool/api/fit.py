@@ -11,6 +11,7 @@ from idtool.api.data import Logs, call_text, changed_options, load_experiment
 from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, identified_urdf_text
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.outputs import as_json, as_yaml
+from idtool.common.units import units_text
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.records import ProfilesByJoint
 from idtool.diagnosis.residual_maps import residual_maps
@@ -78,7 +79,7 @@ class FitResult(FitReport, SavableResult, Recordable):
         return torque_figures(self._fit.evaluation, "identified", self.units).groups[log].to_plotly()
 
     def __repr__(self) -> str:
-        units = " or ".join(dict.fromkeys(self.units.values()))
+        units = units_text(self.units)
         data = "the fitted data" if self.rms.validation is None else "held-out data"
         rms = self.rms.validation or self.rms.train
         prior = self.rms.prior_validation

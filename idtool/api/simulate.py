@@ -20,6 +20,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.notice import Notice
 from idtool.common.outputs import OutputError
+from idtool.common.units import position_units, units_text
 from idtool.data.logs import check_log_file, log_suffixes, write_log
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.evaluation.simulated_log import (
@@ -32,7 +33,6 @@ from idtool.estimation.evaluation.simulated_log import (
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.base import NoticeReport, notice_fields
 from idtool.reporting.results.simulation import MotionRmse, SimulationReport
-from idtool.reporting.simulation_report import POSITION_UNITS
 from idtool.robot.config import Config
 from idtool.robot.model import RobotModel
 
@@ -255,7 +255,7 @@ def _report(experiment: Experiment, simulated: SimulatedLog, wall_seconds: float
     return SimulationReport(
         file=None,
         joints=simulated.log.joints,
-        units={joint: POSITION_UNITS[unit] for joint, unit in experiment.model.units.items()},
+        units=position_units(experiment.model.units),
         kind=simulated.kind,
         window=simulated.window,
         rollouts=simulated.rollouts,
@@ -276,7 +276,7 @@ def _motion_notices(experiment: Experiment, simulated: SimulatedLog) -> Iterator
         message = f"{simulated.diverged} of {simulated.rollouts} rollouts diverged; each ends where it diverged"
         yield Notice("simulation_diverged", "warning", None, message)
     if simulated.position:
-        units = " or ".join(dict.fromkeys(POSITION_UNITS[unit] for unit in experiment.model.units.values()))
+        units = units_text(position_units(experiment.model.units))
         error = simulated.position["overall"]
         motion = float(np.sqrt(np.nanvar(simulated.measured, axis=0).mean()))
         if error > motion:

@@ -9,6 +9,7 @@ from idtool.api.model import Model, Source
 from idtool.api.results import Progress, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json
+from idtool.common.units import units_text
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.study import StudyReport
@@ -29,7 +30,7 @@ class StudyResult(StudyReport, SavableResult):
         return {"study.json": as_json(self.to_json()), "study.html": study_page(self._validation, self, made_by)}
 
     def __repr__(self) -> str:
-        units = " or ".join(dict.fromkeys(self.units.values()))
+        units = units_text(self.units)
         title = f"StudyResult: RMS torque error [{units}] below {self.band_hz:g} Hz"
         rows = []
         for name, entry in self.sets.items():

@@ -15,6 +15,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import suggestion
 from idtool.common.outputs import as_json
+from idtool.common.units import units_text
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
 from idtool.estimation.evaluation.torque_errors import Evaluation, evaluate
@@ -70,7 +71,7 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
         return torque_figures(self._evaluation, "model", self.units).groups[log].to_plotly()
 
     def __repr__(self) -> str:
-        units = " or ".join(dict.fromkeys(self.units.values()))
+        units = units_text(self.units)
         prior = self.rms.prior
         head = ["joint", "model"]
         if prior:

@@ -20,6 +20,7 @@ from idtool.cli.options import (
     output_folder,
     require_log,
 )
+from idtool.common.units import units_text
 
 if TYPE_CHECKING:
     from idtool.reporting.results.simulation import SimulationReport
@@ -104,7 +105,7 @@ def _show_simulation(terminal: Terminal, report: SimulationReport, measured: str
     restarts = "never restarted" if report.window is None else f"{report.window:g} s at a time"
     terminal.say(f"{loop}, {restarts}: {report.seconds:.4g} s simulated in {report.wall_seconds:.1f} s")
     if position := report.rmse.position:
-        units = " or ".join(dict.fromkeys(report.units.values()))
+        units = units_text(report.units)
         joints = ", ".join(f"{name} {position[name]:.4g}" for name in report.joints)
         terminal.say(f"{position['overall']:.4g} {units} RMS from the {measured}: {joints}")
     terminal.notices(report.notices)

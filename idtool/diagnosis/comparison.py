@@ -19,6 +19,7 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import capitalized, join_names
 from idtool.common.notice import Notice
 from idtool.common.number_text import parameter_text
+from idtool.common.units import position_units, units_text
 from idtool.data.inspection import inspect_log
 from idtool.data.pairing import LogPair, align
 from idtool.diagnosis.diagnose import Options, diagnose
@@ -462,8 +463,7 @@ def _unexplained_gap(before: GapLevel, robot: Diagnosis) -> Obstacle | None:
 
 def _difference(pair: LogPair, units: Mapping[str, str]) -> str:
     """Difference of the positions in two logs, as a clause; by the unit of each joint's torque."""
-    position_units = dict.fromkeys("m" if unit == "N" else "rad" for unit in units.values())
-    unit = " or ".join(position_units)
+    unit = units_text(position_units(units))
     difference = f"the positions differ by {pair.position['overall']:.3g} {unit} RMS"
     return f"{difference}, and the robot moves by {pair.motion['overall']:.3g} {unit} RMS"
 

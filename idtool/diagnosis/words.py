@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from idtool.common.names import capitalized
 from idtool.common.number_text import number, parameter_text
+from idtool.common.units import POSITION_UNITS
 from idtool.diagnosis.records import Candidate, DiagnosisStep
 from idtool.dynamics.effects import effect_from_entry, effect_name, effect_types
 from idtool.estimation.dataset.experiment import Experiment
@@ -65,7 +66,7 @@ def _improvement(step: DiagnosisStep, units: Mapping[str, str]) -> str:
     kind = "Held-out torque" if step.before.validation is not None else "Torque"
     text = f"{kind} error {number(step.before.torque[joint])} → {number(step.after.torque[joint])} {unit} RMS"
     if step.before.simulation is not None and step.after.simulation is not None:
-        position_unit = "m" if unit == "N" else "rad"
+        position_unit = POSITION_UNITS[unit]
         before, after = step.before.simulation[joint], step.after.simulation[joint]
         text += f", position error of the simulation {number(before)} → {number(after)} {position_unit}"
     return text

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from idtool.common.names import capitalized
 from idtool.common.number_text import number
+from idtool.common.units import position_units
 from idtool.diagnosis.comparison import COMMAND_DELAY
 from idtool.diagnosis.fitted_pair import RIGID_BODY
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
@@ -22,7 +23,6 @@ from idtool.reporting.results.diagnosis import (
     StepReport,
 )
 from idtool.reporting.results.fit import EffectReport
-from idtool.reporting.simulation_report import POSITION_UNITS
 
 UNKNOWN = "unknown"
 RESIDUAL_MAPS = "the residual maps in diagnosis.html"  # which the page links to
@@ -54,11 +54,6 @@ def common_unit(units: Mapping[str, str]) -> str:
     if len(kinds) == 1:
         return kinds[0]
     return f"mixed {' and '.join(kinds)}"
-
-
-def position_units(units: Mapping[str, str]) -> dict[str, str]:
-    """The unit of each joint's position, by that of its torque."""
-    return {joint: POSITION_UNITS[unit] for joint, unit in units.items()}
 
 
 def summary(report: DiagnosisReport) -> str:

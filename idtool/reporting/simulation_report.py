@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from idtool.common.units import position_units
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.evaluation.rollouts import HORIZONS, RolloutError, RolloutEvaluation
 from idtool.reporting.results.rollouts import Horizon, MotionErrors, Simulation, WindowCount
-
-POSITION_UNITS = {"N·m": "rad", "N": "m"}  # of a joint, by that of its torque
 
 
 def simulation_report(rollouts: RolloutEvaluation | None, model: str, experiment: Experiment) -> Simulation | None:
@@ -37,7 +36,7 @@ def simulation_report(rollouts: RolloutEvaluation | None, model: str, experiment
         window=rollouts.window,
         windows=WindowCount(simulated=rollouts.windows, of=rollouts.available),
         seconds=own.samples * sample_time,
-        units={joint: POSITION_UNITS[unit] for joint, unit in experiment.model.units.items()},
+        units=position_units(experiment.model.units),
         position=errors.position,
         velocity=errors.velocity,
         baseline=_errors(baseline, joints),

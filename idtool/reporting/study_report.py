@@ -8,6 +8,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
+from idtool.common.units import units_text
 from idtool.estimation.problem.estimate import stuck_note
 from idtool.estimation.study.study import Study, StudyEntry
 from idtool.reporting.results.base import SampleCounts, notice_fields, provenance_fields
@@ -39,7 +40,7 @@ def study_report(study: Study) -> StudyReport:
         learning=LearningCurves(
             counts=study.counts,
             draws=study.draws,
-            unit_overall=" or ".join(dict.fromkeys(experiment.model.units.values())),
+            unit_overall=units_text(experiment.model.units),
             curves={
                 name: LearningCurve(
                     median=_finite_or_none(c.median), lower=_finite_or_none(c.lower), upper=_finite_or_none(c.upper)

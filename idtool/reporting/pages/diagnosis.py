@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from idtool.common.number_text import range_text
+from idtool.common.units import position_units
 from idtool.diagnosis.records import Diagnosis
 from idtool.estimation.evaluation.envelope import Trace
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
@@ -16,7 +17,6 @@ from idtool.reporting.diagnosis_text import (
     UNKNOWN,
     effect_name,
     owner_name,
-    position_units,
     step_title,
     worse_motion,
     worse_motion_sentence,

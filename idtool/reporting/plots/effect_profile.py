@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from idtool.reporting.diagnosis_text import effect_name, owner_name, position_units
+from idtool.common.units import position_units
+from idtool.reporting.diagnosis_text import effect_name, owner_name
 from idtool.reporting.plots.figure import MEDIUM, Figure, Panel, banded_curve, curve, figure
 from idtool.reporting.plots.residuals import AXES
 from idtool.reporting.plots.sampling import round_significant

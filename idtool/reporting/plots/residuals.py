@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from idtool.common.arrays import Array
+from idtool.common.units import position_units
 from idtool.diagnosis.records import ResidualProfile
-from idtool.reporting.diagnosis_text import position_units
 from idtool.reporting.plots.figure import SHORT, Figure, FigureGroup, Panel, PlotlyTrace, curve, figure
 from idtool.reporting.plots.sampling import largest_indices, round_significant
 

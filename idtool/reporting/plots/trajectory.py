@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from idtool.common.units import POSITION_UNITS
 from idtool.reporting.plots.figure import Figure, Panel, figure, styled_curve, time_axis
 from idtool.reporting.results.excitation import ExcitationReport
 
@@ -44,5 +45,5 @@ def trajectory_figure(report: ExcitationReport, joint: str) -> Figure:
 
 def unit_of(signal: str, torque: str) -> str:
     """Unit of a joint's q, v, a or tau, told by the unit of its torque."""
-    length = "m" if torque == "N" else "rad"
+    length = POSITION_UNITS[torque]
     return {"q": length, "v": f"{length}/s", "a": f"{length}/s²"}.get(signal, torque)

@@ -6,7 +6,7 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array
-from idtool.reporting.diagnosis_text import position_units
+from idtool.common.units import position_units, units_text
 from idtool.reporting.number_text import metres
 from idtool.reporting.results.adaptation import AdaptationReport
 from idtool.reporting.sections.base import (
@@ -19,7 +19,6 @@ from idtool.reporting.sections.base import (
     realizable_cell,
     unit_cells,
     unit_columns,
-    units_text,
 )
 
 _SETTLING_TOLERANCE = 0.05  # of the last value

@@ -187,11 +187,6 @@ def error_column(page_only: bool = False) -> Column:
     return Column("± se", help="Standard error", attached=True, page_only=page_only)
 
 
-def units_text(units: Mapping[str, str]) -> str:
-    """The units of a table's title, each once."""
-    return " or ".join(dict.fromkeys(units.values()))
-
-
 def unit_columns(units: Mapping[str, str]) -> list[Column]:
     """The column of the joints' units; none where all have the same, which the title tells."""
     if len(set(units.values())) > 1:

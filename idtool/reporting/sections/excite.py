@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing_extensions import override
 
+from idtool.common.units import units_text
 from idtool.reporting.results.excitation import ExcitationReport, LimitUtilization
 from idtool.reporting.sections.base import (
     Cell,
@@ -14,7 +15,6 @@ from idtool.reporting.sections.base import (
     name_column,
     number_cell,
     percent_cell,
-    units_text,
 )
 
 CLEAR_DIFFERENCE = 5.0  # standard errors, from which a diagnosis decides clearly

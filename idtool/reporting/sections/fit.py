@@ -9,7 +9,8 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.number_text import number
-from idtool.reporting.diagnosis_text import effect_name, owner_name, position_units
+from idtool.common.units import position_units, units_text
+from idtool.reporting.diagnosis_text import effect_name, owner_name
 from idtool.reporting.number_text import interval_text, metres
 from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.results.fit import BodyReport, FitReport, FrictionErrors, FrictionReport
@@ -27,7 +28,6 @@ from idtool.reporting.sections.base import (
     realizable_cell,
     unit_cells,
     unit_columns,
-    units_text,
 )
 
 _SOURCES = ("data", "combination", "constraints", "prior")  # that a parameter may rest on

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from typing_extensions import override
 
+from idtool.common.units import units_text
 from idtool.reporting.results.base import ByJointOrNone
 from idtool.reporting.results.rollouts import Simulation
 from idtool.reporting.sections.base import (
@@ -18,7 +19,6 @@ from idtool.reporting.sections.base import (
     number_cell,
     unit_cells,
     unit_columns,
-    units_text,
 )
 
 Errors = ByJointOrNone | None

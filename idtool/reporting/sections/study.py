@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing_extensions import override
 
+from idtool.common.units import units_text
 from idtool.reporting.results.study import StudyErrors, StudyReport
 from idtool.reporting.sections.base import (
     Cell,
@@ -14,7 +15,6 @@ from idtool.reporting.sections.base import (
     number_cell,
     unit_cells,
     unit_columns,
-    units_text,
 )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from typing_extensions import override
 
+from idtool.common.units import units_text
 from idtool.reporting.number_text import interval_text
 from idtool.reporting.results.fit import (
     BaseParameter,
@@ -28,7 +29,6 @@ from idtool.reporting.sections.base import (
     percent_cell,
     unit_cells,
     unit_columns,
-    units_text,
 )
 from idtool.reporting.uncertainty_report import MAX_PULL
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing_extensions import override
 
+from idtool.common.units import units_text
 from idtool.reporting.results.validation import RegressionReport, ValidationReport
 from idtool.reporting.sections.base import (
     NO_VALUE,
@@ -16,7 +17,6 @@ from idtool.reporting.sections.base import (
     percent_cell,
     unit_cells,
     unit_columns,
-    units_text,
 )
 
 
