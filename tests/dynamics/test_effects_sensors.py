@@ -17,7 +17,8 @@ from scipy.interpolate import CubicSpline
 from spatial_arm import RIGID, Log, recorded, residuals, rolled_out, spec_of, written
 
 from idtool.data.signals import Motion
-from idtool.dynamics.effects import NamedEffect, effect_from_entry
+from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
+from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import RobotModel
@@ -143,6 +144,14 @@ def test_saturation_is_one_to_one_odd_and_smooth(build: Build, level: float, ben
     near = motion(level * np.array([1, 1 + 1e-6]))
     at_level = np.diff(effect.apply_sensor(near.tau, near)[0])
     assert at_level == pytest.approx(1e-6 * level, rel=1e-3)
+
+
+@pytest.mark.parametrize(("coefficient", "bend"), [(0.3, 0.3), (-0.3, -0.3), (-1e3, -4.0)])
+def test_a_fit_does_not_begin_at_a_limit_on_which_the_torque_hardly_depends(coefficient: float, bend: float) -> None:
+    """As the first-order bend is, where only peaks exceed the level."""
+    kind = effect_types()["torque_saturation"]
+    assert issubclass(kind, TorqueSensorEffect)
+    assert kind.values_from_coefficient(coefficient, {"level": 5.0}) == {"level": 5.0, "bend": bend}
 
 
 def test_the_slope_has_halved_where_the_measured_torque_is_the_inverse_of_the_bend_above_the_level(

@@ -16,6 +16,7 @@ from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 
 _MIN_SLOPE = 0.02  # of the true torque over the commanded one of a motor
+_SHARPEST = 20.0  # bend of a motor times its level, with which a fit begins: from a sharper one, it would not move
 _LEVELS = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)  # of the peak torque, where it may begin to bend
 
 
@@ -69,7 +70,7 @@ class TorqueSaturation(TorqueSensorEffect):
     @classmethod
     @override
     def values_from_coefficient(cls, c: float, nonlinear_values: Mapping[str, float]) -> Mapping[str, float] | None:
-        return {**nonlinear_values, "bend": c}
+        return {**nonlinear_values, "bend": max(c, -_SHARPEST / nonlinear_values["level"])}
 
     @override
     def to_measured(self, tau: Array) -> Array:
