@@ -194,23 +194,45 @@ def _worsens_held_out_error(candidate: FittedCandidate, base: LinearizedFit) -> 
 def _undetermined_parameter(trial: TrialFit) -> str:
     """First nonlinear parameter of the newest effect that the data do not determine; empty if there is none.
 
-    Its standard error is too large, or its value is at an end of its range. Optional and open-ended parameters need not
-    be determined, and those that were not moved cannot be judged.
+    Its standard error is too large, or its value is at an end of its range.
     """
     last = len(trial.entries) - 1
     entry = trial.entries[last]
+    if name := undetermined_parameter(entry, _errors_of_newest(trial)):
+        return name
     for parameter in effect_types()[entry.effect].nonlinear_parameters:
         key = (last, parameter.name)
         value = parameter_value(entry, parameter.name)
-        need_not_be_determined = parameter.open_ended or parameter.optional_maximum is not None
-        if need_not_be_determined or key not in trial.errors or not isinstance(value, float):
+        if key in trial.errors and _must_be_determined(parameter) and isinstance(value, float):
+            low, high = trial.ranges.get(key, (-np.inf, np.inf))  # of these, only positive ones have one
+            if not low * _RANGE_EDGE_RATIO < value < high / _RANGE_EDGE_RATIO:
+                return parameter.name
+    return ""
+
+
+def undetermined_parameter(entry: EffectEntry, errors: Mapping[str, float]) -> str:
+    """First nonlinear parameter of an effect whose standard error is too large; empty if there is none.
+
+    Parameters
+    ----------
+    entry
+        The entry.
+    errors
+        Standard errors of its nonlinear parameters; those that were not moved cannot be judged, and have none.
+    """
+    for parameter in effect_types()[entry.effect].nonlinear_parameters:
+        value = parameter_value(entry, parameter.name)
+        error = errors.get(parameter.name)
+        if error is None or not _must_be_determined(parameter) or not isinstance(value, float):
             continue
-        is_precise = trial.errors[key] < _max_standard_error(parameter, value)
-        low, high = trial.ranges.get(key, (-np.inf, np.inf))  # of these, only positive ones have one
-        is_inside = low * _RANGE_EDGE_RATIO < value < high / _RANGE_EDGE_RATIO
-        if not (is_precise and is_inside):
+        if not error < _max_standard_error(parameter, value):
             return parameter.name
     return ""
+
+
+def _must_be_determined(parameter: NonlinearParameter) -> bool:
+    """False for optional and open-ended parameters."""
+    return not parameter.open_ended and parameter.optional_maximum is None
 
 
 def _max_standard_error(parameter: NonlinearParameter, value: float) -> float:
@@ -218,7 +240,7 @@ def _max_standard_error(parameter: NonlinearParameter, value: float) -> float:
     if parameter.max_standard_error is not None:
         return parameter.max_standard_error
     if parameter.positive:
-        return value / _MIN_PARAMETER_SIGNIFICANCE
+        return parameter.max_relative_error * value
     return np.inf
 
 

@@ -12,7 +12,7 @@ from itertools import combinations
 from idtool.common.exceptions import ConfigError
 from idtool.common.processes import in_processes, interleaved_shares
 from idtool.diagnosis.bursts import find_bursts
-from idtool.diagnosis.candidate_fit import not_fitted_reason, without_undetermined
+from idtool.diagnosis.candidate_fit import not_fitted_reason, undetermined_parameter, without_undetermined
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
@@ -214,6 +214,7 @@ class EffectSearch:
             self.model.set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
         self._replace_effects()
+        self._remove_undetermined()
         self._remove_unproven()
         self._drop_undetermined_parameters()
         self.model.settle()
@@ -441,6 +442,16 @@ class EffectSearch:
         gain = float(gains.sum())
         significant = _MIN_REPLACEMENT_GAIN * sum_standard_error(gains)
         return gain > -significant if is_simpler else gain > significant
+
+    def _remove_undetermined(self) -> None:
+        """Remove effects whose parameters the data do not determine beside those found later."""
+        for effect in self.reported:
+            name = undetermined_parameter(effect.entry, effect.errors)
+            if not name or effect.is_assumed or self.model.try_drop([effect]):
+                continue
+            reason = f"its {name.replace('_', ' ')} is not determined by the data"
+            self.removed.append(removal_with_reason(effect.chosen, reason))
+            self._keep_as_complete()
 
     def _remove_unproven(self) -> None:
         """Remove effects for which the evidence is not enough, one after the other."""

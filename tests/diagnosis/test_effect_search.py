@@ -173,6 +173,21 @@ def test_what_is_optional_gives_way_to_what_the_data_then_determine(
     assert found["displacement"] == pytest.approx(0.05, rel=0.1)
 
 
+@pytest.mark.parametrize(("error", "left"), [(0.01, 1), (0.1, 0)])
+def test_what_is_no_longer_determined_in_the_end_is_removed(tmp_path: Path, error: float, left: int) -> None:
+    stop = torque_on_joint(0, lambda t, q, v, tau: 20 * np.maximum(q - 0.7, 0))
+    search = search_with(experiment_of(tmp_path, stop, rows=slice(8000)), [("end_stop", "j1")])
+    (effect,) = search.added
+    effect.errors = {"position": error}
+    search._remove_undetermined()
+    assert owners(search) == [("end_stop", "j1")]  # what is assumed stays
+    effect.is_assumed = False
+    search._remove_undetermined()
+    assert len(owners(search)) == len(entries_in_model(search)) == left
+    sentence = "End stop on j1 was removed again: its position is not determined by the data"
+    assert search.removed == [sentence][left:]
+
+
 def test_two_effects_that_are_there_stay(tmp_path: Path) -> None:
     search = search_with(experiment_of(tmp_path, together(spring, offset), rows=slice(8000)), [SPRING, OFFSET])
     before = search.current

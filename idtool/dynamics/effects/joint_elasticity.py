@@ -31,6 +31,7 @@ _MAX_DIFFERENTIABLE = 0.25  # of the sampling rate, above which differentiating 
 _REVERSAL_GAP = 2e-3  # s about a reversal, in which the direction of the motor's friction is not known
 _GAP_ITERATIONS = 4
 _ORDER = 4  # of the low-pass
+_MAX_STIFFNESS_ERROR = 0.15  # relative; what moves under load, such as a bristle of friction, fits with a vague one
 _MOTOR_FRICTION_SHARES = (0.0, 0.5, 1.0)  # shares of friction on the motor side that are tried
 
 
@@ -78,7 +79,7 @@ class JointElasticity(FixedJointEffect):
     uses_measured_torque = True
     acts_at_reversals = True
     nonlinear_parameters = (
-        NonlinearParameter("stiffness", ("N·m/rad", "N/m"), positive=True),
+        NonlinearParameter("stiffness", ("N·m/rad", "N/m"), positive=True, max_relative_error=_MAX_STIFFNESS_ERROR),
         NonlinearParameter("motor_friction", optional_maximum=1.0),
     )
 

@@ -45,7 +45,9 @@ class NonlinearParameter:
     distinguishes_instances
         True if a joint may have the effect more than once, with different values of this.
     max_standard_error
-        Largest standard error with which the effect is still reported; None: a share of the value.
+        Largest standard error with which the effect is still reported; None: a share of the value, if that is positive.
+    max_relative_error
+        That share.
     optional_maximum
         Largest value of a parameter that may be left out and is then 0; None: it may not be left out.
     open_ended
@@ -58,6 +60,7 @@ class NonlinearParameter:
     is_joint: bool = False
     distinguishes_instances: bool = False
     max_standard_error: float | None = None
+    max_relative_error: float = 0.4
     optional_maximum: float | None = None
     open_ended: bool = False
 
