@@ -104,15 +104,31 @@ def without_undetermined(entry: EffectEntry, errors: Mapping[str, float]) -> Eff
     -------
     The same object if there are none.
     """
-    parameters = dict(entry.parameters)
-    for parameter in effect_types()[entry.effect].nonlinear_parameters:
-        name = parameter.name
-        if parameter.optional_maximum is not None and name in parameters:
-            least = _MIN_PARAMETER_SIGNIFICANCE * errors.get(name, 0.0)
-            if not float(parameters[name]) > least:
-                del parameters[name]
-    if len(parameters) == len(entry.parameters):
+    undetermined = []
+    for name in _optional_parameters(entry):
+        least = _MIN_PARAMETER_SIGNIFICANCE * errors.get(name, 0.0)
+        if not float(entry.parameters[name]) > least:
+            undetermined.append(name)
+    return _without(entry, undetermined)
+
+
+def without_optional(entry: EffectEntry) -> EffectEntry:
+    """Entry of an effect without its optional parameters; the same object if it has none."""
+    return _without(entry, _optional_parameters(entry))
+
+
+def _optional_parameters(entry: EffectEntry) -> list[str]:
+    """Names of the optional parameters that an entry has."""
+    kind = effect_types()[entry.effect]
+    optional = [parameter.name for parameter in kind.nonlinear_parameters if parameter.optional_maximum is not None]
+    return [name for name in optional if name in entry.parameters]
+
+
+def _without(entry: EffectEntry, names: Sequence[str]) -> EffectEntry:
+    """Entry without some parameters; the same object without names."""
+    if not names:
         return entry
+    parameters = {name: value for name, value in entry.parameters.items() if name not in names}
     return entry.model_copy(update={"parameters": parameters})
 
 

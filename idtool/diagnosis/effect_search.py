@@ -12,7 +12,13 @@ from itertools import combinations
 from idtool.common.exceptions import ConfigError
 from idtool.common.processes import in_processes, interleaved_shares
 from idtool.diagnosis.bursts import find_bursts
-from idtool.diagnosis.candidate_fit import not_fitted_reason, undetermined_parameter, without_undetermined
+from idtool.diagnosis.candidate_fit import (
+    not_fitted_reason,
+    undetermined_parameter,
+    without_optional,
+    without_undetermined,
+)
+from idtool.diagnosis.error_summary import evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
@@ -217,6 +223,7 @@ class EffectSearch:
         self._remove_undetermined()
         self._remove_unproven()
         self._drop_undetermined_parameters()
+        self._drop_harmful_parameters()
         self.model.settle()
 
     def remove(self, effect: AddedEffect, reason: str) -> None:
@@ -516,6 +523,23 @@ class EffectSearch:
             effect.entry = entry
         if self.model.try_refit():
             self.model.restore(before)
+
+    def _drop_harmful_parameters(self) -> None:
+        """Leave out optional parameters of an effect if the error on the held-out data is smaller without them."""
+        for effect in self.added:
+            simpler = without_optional(effect.entry)
+            if simpler is effect.entry:
+                continue
+            before = self.model.state()
+            error = self._error_on_joint(effect)
+            effect.entry = simpler
+            if self.model.try_refit() or self._error_on_joint(effect) > error:
+                self.model.restore(before)
+
+    def _error_on_joint(self, effect: AddedEffect) -> float:
+        """Error of the present model, on the held-out data if there are any, at the joint of an effect."""
+        errors = evaluate_errors(self.current.experiment, self.current.estimate.theta, False, self.progress)
+        return errors.torque[effect.entry.joint or "overall"]
 
 
 def _subjects(entries: Sequence[EffectEntry]) -> list[tuple[str, str]]:

@@ -188,6 +188,24 @@ def test_what_is_no_longer_determined_in_the_end_is_removed(tmp_path: Path, erro
     assert search.removed == [sentence][left:]
 
 
+@pytest.mark.parametrize(("errors", "is_left_out"), [((1.0, 0.9), True), ((1.0, 1.1), False)])
+def test_an_optional_parameter_without_which_the_held_out_error_is_smaller_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, errors: tuple[float, float], is_left_out: bool
+) -> None:
+    """By errors that are given here: with the damping, and without it."""
+    experiment = experiment_of(tmp_path, dry_friction, rows=slice(8000))
+    search = search_with(experiment, [("presliding_hysteresis", "j1")])
+    (effect,) = search.added
+    effect.entry = effect.entry.model_copy(update={"parameters": {**effect.entry.parameters, "damping": 0.01}})
+    assert search.model.try_refit() is None
+    before = search.current
+    given = iter(errors)
+    monkeypatch.setattr(EffectSearch, "_error_on_joint", lambda *arguments: next(given))
+    search._drop_harmful_parameters()
+    assert ("damping" not in effect.entry.parameters) is is_left_out
+    assert (search.current is not before) is is_left_out
+
+
 def test_two_effects_that_are_there_stay(tmp_path: Path) -> None:
     search = search_with(experiment_of(tmp_path, together(spring, offset), rows=slice(8000)), [SPRING, OFFSET])
     before = search.current
