@@ -220,8 +220,9 @@ class EffectSearch:
             self.model.set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
         self._replace_effects()
-        self._remove_undetermined()
-        self._remove_unproven()
+        if self._remove_doubtful():
+            self._add_effects()  # what they stood for
+            self._remove_doubtful()
         self._drop_undetermined_parameters()
         self._drop_harmful_parameters()
         self.model.settle()
@@ -449,6 +450,17 @@ class EffectSearch:
         gain = float(gains.sum())
         significant = _MIN_REPLACEMENT_GAIN * sum_standard_error(gains)
         return gain > -significant if is_simpler else gain > significant
+
+    def _remove_doubtful(self) -> bool:
+        """Remove effects that are not determined or for which the evidence is not enough; False if there are none."""
+        before = list(self.added)
+        self._remove_undetermined()
+        self._remove_unproven()
+        removed = [effect for effect in before if effect not in self.added]
+        for effect in removed:
+            if effect.selection.winner is not None:
+                self._superseded.add(probe_key(effect.selection.winner.probe))
+        return bool(removed)
 
     def _remove_undetermined(self) -> None:
         """Remove effects whose parameters the data do not determine beside those found later."""

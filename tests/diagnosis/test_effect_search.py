@@ -18,6 +18,7 @@ from idtool.diagnosis.effect_order import StepErrors, first_harmful, order_effec
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.model_selection import probe_key
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN
 from idtool.diagnosis.trial import TrialFit, with_fixed_inertia
 from idtool.estimation.dataset.experiment import Experiment
@@ -173,16 +174,37 @@ def test_what_is_optional_gives_way_to_what_the_data_then_determine(
     assert found["displacement"] == pytest.approx(0.05, rel=0.1)
 
 
+def test_what_removed_effects_stood_for_is_searched_for_once_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search = EffectSearch(experiment_of(tmp_path, spring, rows=slice(8000)), ("parallel_spring",), 4, silent)
+    inner = EffectSearch._remove_doubtful
+    removals = iter([True, False])
+
+    def remove_doubtful(search: EffectSearch) -> bool:
+        if next(removals):
+            search.model.remove(list(search.added))
+            return True
+        return inner(search)
+
+    monkeypatch.setattr(EffectSearch, "_remove_doubtful", remove_doubtful)
+    search.run()
+    assert owners(search) == [SPRING]
+
+
 @pytest.mark.parametrize(("error", "left"), [(0.01, 1), (0.1, 0)])
 def test_what_is_no_longer_determined_in_the_end_is_removed(tmp_path: Path, error: float, left: int) -> None:
     stop = torque_on_joint(0, lambda t, q, v, tau: 20 * np.maximum(q - 0.7, 0))
     search = search_with(experiment_of(tmp_path, stop, rows=slice(8000)), [("end_stop", "j1")])
     (effect,) = search.added
     effect.errors = {"position": error}
-    search._remove_undetermined()
+    assert not search._remove_doubtful()
     assert owners(search) == [("end_stop", "j1")]  # what is assumed stays
     effect.is_assumed = False
-    search._remove_undetermined()
+    assert search._remove_doubtful() is (left == 0)
+    assert effect.selection.winner is not None
+    is_tried_again = probe_key(effect.selection.winner.probe) not in search._superseded
+    assert is_tried_again is (left == 1)
     assert len(owners(search)) == len(entries_in_model(search)) == left
     sentence = "End stop on j1 was removed again: its position is not determined by the data"
     assert search.removed == [sentence][left:]
