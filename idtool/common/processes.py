@@ -65,7 +65,7 @@ def in_processes(
 def shared_among_processes(
     evaluate: Callable[[Item, Progress], Result], items: Sequence[Item], progress: Progress
 ) -> list[Result]:
-    """Result of each of any number of items, in their order; as `in_processes`, each process evaluates its share."""
+    """Results of any number of items, in their order; each process evaluates its share, as in `in_processes`."""
 
     def evaluate_share(share: range, progress: Progress) -> list[Result]:
         return [evaluate(items[i], progress) for i in share]

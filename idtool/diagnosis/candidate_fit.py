@@ -1,7 +1,6 @@
-"""A candidate fitted with the whole model, and the reasons for which one is rejected then.
+"""Candidates fitted with the whole model, and the reasons for which they are then rejected.
 
-What it explained to first order may turn out to be due to the rest of the model, to be nothing that a robot has, or to
-be undetermined by the data.
+What one explained to first order may be due to the rest of the model, be nothing that a robot has, or be undetermined.
 """
 
 from __future__ import annotations
@@ -26,12 +25,15 @@ from idtool.robot.config import EffectEntry
 
 _MAX_GAUSS_NEWTON_STEPS = 5  # of the fit of a candidate for which one step is not enough
 _MAX_HELD_OUT_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
-_MAX_LOSS_SHARE = 0.2  # of its gains in some blocks, that an effect may lose in others
-_MIN_PARAMETER_SIGNIFICANCE = 2.5  # standard errors that a nonlinear parameter is at least from zero
-# of a joint's squared residual without any effect: the effects found are assumed accurate to 1 %, squared 1e-4
+_MAX_LOSS_SHARE = 0.2  # largest ratio of the loss in some blocks to the gain in others
+_MIN_PARAMETER_SIGNIFICANCE = 2.5  # least ratio of an optional parameter to its standard error, to be kept
+# least reduction, as a share of the initial squared residual: the effects found are accurate to 1 % at best, squared
 _MIN_SAVED_SHARE = 1e-4
 _MIN_SHARE_OF_TORQUE = 5e-3  # of a joint's rms torque, that an effect must have to be named
-_MIN_SHARE_FITTED_ALONG = 3e-3  # likewise, to be only included in the fit
+_MIN_SHARE_UNREPORTED = 3e-3  # likewise, to be only included in the fit
+_TOO_SMALL = (
+    "explains less than the uncertainty of the effects that were found before, or only a negligible part of the torque"
+)
 _RANGE_EDGE_RATIO = 1.02  # ratio to an end of a range, up to which a value is at that end
 _BOUND_TOLERANCE = 1e-9  # distance from a bound, up to which a coefficient is at it
 
@@ -39,21 +41,21 @@ _BOUND_TOLERANCE = 1e-9  # distance from a bound, up to which a coefficient is a
 def fit_and_judge(
     candidate: ScreenedProbe, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary, progress: Progress
 ) -> tuple[FittedCandidate, str]:
-    """Candidate fitted with the whole model, and the reason why it is rejected, as a clause; empty if it is accepted.
+    """Fit of a candidate with the whole model, and the reason why it is rejected, a clause; empty if it is accepted.
 
-    A candidate that would be rejected is fitted again together with the nonlinear parameters of the other effects on
-    its joint: these were found without the candidate, and may imitate it.
+    One that would be rejected is fitted again together with the nonlinear parameters of the other effects on its joint:
+    these were found without the candidate, and may imitate it.
     """
     fitted = fit_candidate(base, candidate, progress)
-    objection = _objection(fitted, base, initial, summary)
+    rejection_reason = _rejection_reason(fitted, base, initial, summary)
     others = _movable_on_joint(base, candidate.probe.joint)
-    if not objection or not others:
-        return fitted, objection
+    if not rejection_reason or not others:
+        return fitted, rejection_reason
     try:
         refitted = fit_candidate(base, candidate, progress, others)
     except FAILURES:
-        return fitted, objection
-    return refitted, _objection(refitted, base, initial, summary)
+        return fitted, rejection_reason
+    return refitted, _rejection_reason(refitted, base, initial, summary)
 
 
 def fit_candidate(
@@ -76,21 +78,23 @@ def fit_candidate(
         raise ConfigError("effects", "its parameters are out of range")
     entries = (*base.experiment.config.effects, candidate.entry)
     moving = [*others, len(entries) - 1]
-    trial = fit_trial(base, entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS if others else 1)
-    if _undetermined_parameter(trial):  # it may be determined closer to the optimum
+    max_steps = _MAX_GAUSS_NEWTON_STEPS if others else 1  # screening has found the candidate's own values already
+    trial = fit_trial(base, entries, moving, progress, max_steps=max_steps)
+    if _undetermined_parameter_of_newest(trial):  # it may be determined closer to the optimum
         trial = fit_trial(base, trial.entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
-    if _undetermined_parameter(trial):  # it may be determined if there is nothing else to determine
-        simpler = without_undetermined(trial.entries[-1], _errors_of_newest(trial))
+    if _undetermined_parameter_of_newest(trial):  # it may be determined if there is nothing else to determine
+        simpler = without_insignificant_parameters(trial.entries[-1], _errors_of_newest(trial))
         if simpler is not trial.entries[-1]:
             simpler_entries = (*trial.entries[:-1], simpler)
             trial = fit_trial(base, simpler_entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
-    if others and trial.linearized.row_experiment is not base.row_experiment:
+    has_own_rows = trial.linearized.row_experiment is not base.row_experiment
+    if others and has_own_rows:  # a candidate that is undefined where it acts keeps its own
         on_rows_of_base = linearize_fit(trial.linearized.experiment, progress, base)
         trial = replace(trial, linearized=on_rows_of_base)
     return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
 
 
-def without_undetermined(entry: EffectEntry, errors: Mapping[str, float]) -> EffectEntry:
+def without_insignificant_parameters(entry: EffectEntry, errors: Mapping[str, float]) -> EffectEntry:
     """Entry of an effect without the optional parameters that do not differ significantly from 0.
 
     Parameters
@@ -112,7 +116,7 @@ def without_undetermined(entry: EffectEntry, errors: Mapping[str, float]) -> Eff
     return _without(entry, undetermined)
 
 
-def without_optional(entry: EffectEntry) -> EffectEntry:
+def without_optional_parameters(entry: EffectEntry) -> EffectEntry:
     """Entry of an effect without its optional parameters; the same object if it has none."""
     return _without(entry, _optional_parameters(entry))
 
@@ -154,31 +158,33 @@ def not_fitted_reason(failure: Exception) -> str:
     return f"cannot be fitted together with the rest of the model: {failure_reason(failure)}"
 
 
-def _objection(candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary) -> str:
+def _rejection_reason(
+    candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary
+) -> str:
     """Reason why the fitted candidate is rejected, as a clause; empty if it is accepted."""
     fit = candidate.trial.linearized
-    if reason := _implausibility(candidate, summary):
-        return reason
+    implausibility = _implausibility(candidate, summary)
+    if implausibility:
+        return implausibility
     if not _is_within_bounds(fit, base):
         return "reaches its bounds when fitted with the rest of the model"
-    if parameter := _undetermined_parameter(candidate.trial):
+    parameter = _undetermined_parameter_of_newest(candidate.trial)
+    if parameter:
         return f"its {parameter} is not determined by the data"
     loss = -np.minimum(candidate.gains, 0).sum()
-    if loss > _MAX_LOSS_SHARE * np.maximum(candidate.gains, 0).sum():
+    gain = np.maximum(candidate.gains, 0).sum()
+    if loss > _MAX_LOSS_SHARE * gain:
         return "reduces the error in some parts of the log and increases it in others"
     if _worsens_held_out_error(candidate, base):
         return "increases the error on the held-out data"
-    min_share = _MIN_SHARE_OF_TORQUE if is_reportable(candidate.probe.effect) else _MIN_SHARE_FITTED_ALONG
-    if not _is_relevant(fit, base, initial, min_share):
-        return (
-            "explains less than the uncertainty of the effects that were found before, or only a negligible part of "
-            "the torque"
-        )
+    min_share = _MIN_SHARE_OF_TORQUE if is_reportable(candidate.probe.effect) else _MIN_SHARE_UNREPORTED
+    if not _exceeds_model_error(fit, base, initial, min_share):
+        return _TOO_SMALL
     return ""
 
 
 def _implausibility(candidate: FittedCandidate, summary: DataSummary) -> str:
-    """Reason why the fitted candidate is rejected as one that no robot has, as a clause; empty if it is accepted."""
+    """Reason why no robot has such an effect, a clause; empty if one may have it."""
     fit = candidate.trial.linearized
     entry = candidate.trial.entries[-1]
     values = dict(entry.values)
@@ -207,15 +213,16 @@ def _worsens_held_out_error(candidate: FittedCandidate, base: LinearizedFit) -> 
     return bool(with_effect[is_acted_on].sum() > _MAX_HELD_OUT_RATIO * without[is_acted_on].sum())
 
 
-def _undetermined_parameter(trial: TrialFit) -> str:
+def _undetermined_parameter_of_newest(trial: TrialFit) -> str:
     """First nonlinear parameter of the newest effect that the data do not determine; empty if there is none.
 
     Its standard error is too large, or its value is at an end of its range.
     """
     last = len(trial.entries) - 1
     entry = trial.entries[last]
-    if name := undetermined_parameter(entry, _errors_of_newest(trial)):
-        return name
+    imprecise = imprecise_parameter(entry, _errors_of_newest(trial))
+    if imprecise:
+        return imprecise
     for parameter in effect_types()[entry.effect].nonlinear_parameters:
         key = (last, parameter.name)
         value = parameter_value(entry, parameter.name)
@@ -226,7 +233,7 @@ def _undetermined_parameter(trial: TrialFit) -> str:
     return ""
 
 
-def undetermined_parameter(entry: EffectEntry, errors: Mapping[str, float]) -> str:
+def imprecise_parameter(entry: EffectEntry, errors: Mapping[str, float]) -> str:
     """First nonlinear parameter of an effect whose standard error is too large; empty if there is none.
 
     Parameters
@@ -252,7 +259,7 @@ def _must_be_determined(parameter: NonlinearParameter) -> bool:
 
 
 def _max_standard_error(parameter: NonlinearParameter, value: float) -> float:
-    """Standard error from which a value of a nonlinear parameter is undetermined; infinite if any finite one passes."""
+    """Standard error from which a nonlinear parameter is undetermined; infinite if every finite one will do."""
     if parameter.max_standard_error is not None:
         return parameter.max_standard_error
     if parameter.positive:
@@ -263,8 +270,8 @@ def _max_standard_error(parameter: NonlinearParameter, value: float) -> float:
 def _is_within_bounds(fit: LinearizedFit, base: LinearizedFit) -> bool:
     """True if every new coefficient is below its upper bound, and at least one is above its lower bound.
 
-    New are those that the base does not have; True if there are none. Some may be at their lower bound, as a part of an
-    effect that is absent; if all are, the effect itself is absent.
+    New are those that the base does not have; True if there are none. At its lower bound, a coefficient is absent. Some
+    may be, as a part of an effect; if all are, the effect itself is absent.
     """
     base_keys = {c.key for c in base.experiment.equation.coefficients}
     new = []
@@ -277,12 +284,12 @@ def _is_within_bounds(fit: LinearizedFit, base: LinearizedFit) -> bool:
     return is_present and all(value < c.upper for c, value in new)
 
 
-def _is_relevant(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit, min_share: float) -> bool:
-    """True if the squared residual of some joint falls by more than two shares of what the joint has.
+def _exceeds_model_error(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit, min_share: float) -> bool:
+    """True if the squared residual of some joint falls by more than both of two thresholds.
 
-    One is a share of the squared residual in the initial model: a strong effect whose size is known to a hundredth
-    leaves a hundredth of itself, which is no effect of its own. The other is that of a torque of ``min_share`` of the
-    joint's rms torque.
+    - The error that the effects found are expected to leave, a share of the squared residual in the initial model: what
+      is left of a strong effect is no effect of its own.
+    - The square of a share, ``min_share``, of the joint's rms torque.
     """
     # both in units of the base's noise: a fit that uses or rescales the measured torque has another noise of its own
     saved = (base.sse - fit.sse).sum(axis=0) * np.square(base.noise)

@@ -13,10 +13,10 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.processes import in_processes, interleaved_shares
 from idtool.diagnosis.bursts import find_bursts
 from idtool.diagnosis.candidate_fit import (
+    imprecise_parameter,
     not_fitted_reason,
-    undetermined_parameter,
-    without_optional,
-    without_undetermined,
+    without_insignificant_parameters,
+    without_optional_parameters,
 )
 from idtool.diagnosis.error_summary import evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
@@ -223,7 +223,7 @@ class EffectSearch:
         if self._remove_doubtful():
             self._add_effects()  # what they stood for
             self._remove_doubtful()
-        self._drop_undetermined_parameters()
+        self._drop_insignificant_parameters()
         self._drop_harmful_parameters()
         self.model.settle()
 
@@ -454,7 +454,7 @@ class EffectSearch:
     def _remove_doubtful(self) -> bool:
         """Remove effects that are not determined or for which the evidence is not enough; False if there are none."""
         before = list(self.added)
-        self._remove_undetermined()
+        self._remove_imprecise()
         self._remove_unproven()
         removed = [effect for effect in before if effect not in self.added]
         for effect in removed:
@@ -462,11 +462,14 @@ class EffectSearch:
                 self._superseded.add(probe_key(effect.selection.winner.probe))
         return bool(removed)
 
-    def _remove_undetermined(self) -> None:
-        """Remove effects whose parameters the data do not determine beside those found later."""
+    def _remove_imprecise(self) -> None:
+        """Remove effects whose parameters are no longer precise enough beside those found later."""
         for effect in self.reported:
-            name = undetermined_parameter(effect.entry, effect.errors)
-            if not name or effect.is_assumed or self.model.try_drop([effect]):
+            name = imprecise_parameter(effect.entry, effect.errors)
+            if effect.is_assumed or not name:
+                continue
+            failure = self.model.try_drop([effect])
+            if failure:
                 continue
             reason = f"its {name.replace('_', ' ')} is not determined by the data"
             self.removed.append(removal_with_reason(effect.chosen, reason))
@@ -524,9 +527,9 @@ class EffectSearch:
         on_joint = effect.chosen.joint is not None
         return is_worthwhile(gain, without, effect.selection.inflation, on_joint, effect.chosen.parameters)
 
-    def _drop_undetermined_parameters(self) -> None:
+    def _drop_insignificant_parameters(self) -> None:
         """Leave out optional parameters that the data do not determine."""
-        entries = [without_undetermined(effect.entry, effect.errors) for effect in self.added]
+        entries = [without_insignificant_parameters(effect.entry, effect.errors) for effect in self.added]
         is_same = [entry is effect.entry for entry, effect in zip(entries, self.added, strict=True)]
         if all(is_same):
             return
@@ -537,15 +540,16 @@ class EffectSearch:
             self.model.restore(before)
 
     def _drop_harmful_parameters(self) -> None:
-        """Leave out optional parameters of an effect if the error on the held-out data is smaller without them."""
+        """Leave out optional parameters of an effect unless the error at its joint is larger without them."""
         for effect in self.added:
-            simpler = without_optional(effect.entry)
+            simpler = without_optional_parameters(effect.entry)
             if simpler is effect.entry:
                 continue
             before = self.model.state()
-            error = self._error_on_joint(effect)
+            error_with = self._error_on_joint(effect)
             effect.entry = simpler
-            if self.model.try_refit() or self._error_on_joint(effect) > error:
+            failure = self.model.try_refit()
+            if failure or self._error_on_joint(effect) > error_with:
                 self.model.restore(before)
 
     def _error_on_joint(self, effect: AddedEffect) -> float:

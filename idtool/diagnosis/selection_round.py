@@ -167,10 +167,10 @@ def _fit_best_candidates(
 
     def fit_and_judge_one(candidate: ScreenedProbe, progress: Progress) -> _Judged | Exception:
         try:
-            fitted, objection = fit_and_judge(candidate, base, initial, summary, progress)
+            fitted, rejection_reason = fit_and_judge(candidate, base, initial, summary, progress)
         except FAILURES as failure:
             return failure
-        return _Judged(trial_to_bytes(fitted.trial), fitted.gains, objection)
+        return _Judged(trial_to_bytes(fitted.trial), fitted.gains, rejection_reason)
 
     best_gain = 0.0
     waiting = _by_gain(significant)[:_MAX_FULL_FITS]
@@ -183,8 +183,8 @@ def _fit_best_candidates(
                 continue
             if isinstance(judged, Exception):
                 failed.append(screened_record(candidate, base, not_fitted_reason(judged)))
-            elif judged.objection:
-                rejected.append(screened_record(candidate, base, judged.objection))
+            elif judged.rejection_reason:
+                rejected.append(screened_record(candidate, base, judged.rejection_reason))
             else:
                 trial = trial_from_bytes(judged.trial, base)
                 finalists.append(FittedCandidate(candidate, trial, judged.gains))
@@ -220,13 +220,13 @@ class _Judged(NamedTuple):
         Bytes of the fit.
     gains
         Gain in each block by the fit, shape (F,).
-    objection
+    rejection_reason
         Reason why it is rejected, as a clause; empty if it is accepted.
     """
 
     trial: bytes
     gains: Array
-    objection: str
+    rejection_reason: str
 
 
 def _min_gain_ratio(candidate: ScreenedProbe) -> float:

@@ -171,6 +171,8 @@ def fit_trial(
             errors |= grid_errors
 
     for _ in range(max_steps):
+        if len(moving) > 1:
+            current = _step_of_coefficients(current, moving, ranges, progress)
         keys = _gradient_keys(current.experiment.config.effects, moving)
         if not keys:
             break
@@ -249,32 +251,109 @@ def _with_value(entry: EffectEntry, name: str, value: float) -> EffectEntry:
     return entry.model_copy(update={"parameters": {**entry.parameters, name: changed}})
 
 
+def _step_of_coefficients(
+    current: LinearizedFit, moving: Sequence[int], ranges: Mapping[ParameterKey, Range], progress: Progress
+) -> LinearizedFit:
+    """Fit after a step of effects whose torque is linear in coefficients, together with the other effects' parameters.
+
+    It moves what no gradient does, such as the inertia of a payload. If no step helps, the fit is the same.
+
+    Parameters
+    ----------
+    current
+        The fit.
+    moving
+        Indices of the effects whose nonlinear parameters are moved.
+    ranges
+        Ranges of the nonlinear parameters.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    """
+    for i in moving:
+        entries = current.experiment.config.effects
+        linear = effect_types()[entries[i].effect].coefficients_of(entries[i], current.experiment.model)
+        if linear is None:
+            continue
+        probe, coefficients = linear
+        others = [j for j in moving if j != i]
+        keys = _gradient_keys(entries, others)
+        joint_probe = _joined(probe, _parameter_probe(current, keys, ranges)) if keys else probe
+        (screened,) = screen_probes(current, [joint_probe], progress, "optimizing nonlinear parameters")
+        count = probe.coefficient_count
+        information = _marginal_information(screened.information, count)
+        for length in _STEP_LENGTHS:
+            step = length * screened.c
+            own_entry = probe.to_entry(coefficients + step[:count], information)
+            if own_entry is None:
+                continue
+            changed = _moved_entries(current, keys, step[count:], ranges)
+            changed[i] = own_entry
+            better = _better_fit(current, changed, progress)
+            if better is not None:
+                current = better
+                break
+    return current
+
+
+def _joined(first: Probe, second: Probe) -> Probe:
+    """Probe with the columns of two; it is of no effect, so that it has no configuration entry."""
+
+    def columns(motion: Motion, model: Linearization) -> Mapping[int, Array]:
+        parts = [(probe.columns(motion, model), probe.coefficient_count) for probe in (first, second)]
+        joined = {}
+        for j in range(len(motion.q)):
+            rows = [by_joint.get(j, np.zeros((count, len(motion.t)))) for by_joint, count in parts]
+            joined[j] = np.concatenate(rows)
+        return joined
+
+    count = first.coefficient_count + second.coefficient_count
+    return Probe("", None, None, columns, count, lambda c, information: None)
+
+
+def _marginal_information(information: Array, count: int) -> Array:
+    """Information on the first coefficients if the others are free, shape (count, count)."""
+    cross = information[:count, count:]
+    return np.asarray(information[:count, :count] - cross @ np.linalg.pinv(information[count:, count:]) @ cross.T)
+
+
 def _gauss_newton_step(
     current: LinearizedFit, keys: Sequence[ParameterKey], ranges: Mapping[ParameterKey, Range], progress: Progress
 ) -> tuple[LinearizedFit | None, dict[ParameterKey, float]]:
     """Fit after a step of all parameters together, and their standard errors before it; no fit if no step helps."""
-    entries = current.experiment.config.effects
     probe = _parameter_probe(current, keys, ranges)
     (screened,) = screen_probes(current, [probe], progress, "optimizing nonlinear parameters")
     standard_errors = np.sqrt(np.diag(screened.covariance))
     errors = {key: float(x) for key, x in zip(keys, standard_errors, strict=True)}
 
     for length in _STEP_LENGTHS:
-        changed = list(entries)
-        for key, step in zip(keys, length * screened.c, strict=True):
-            i, name = key
-            moved = _moved_value(entries[i], name, step, ranges.get(key, _UNBOUNDED))
-            changed[i] = _with_value(changed[i], name, moved)
-        moved_effects = {i for i, _ in keys}
-        for i in moved_effects:
-            changed[i] = effect_types()[changed[i].effect].feasible_entry(changed[i], current.experiment.model)
-        try:
-            candidate = linearize_fit(with_effects(current.experiment, changed, current.theta), progress, current)
-        except FAILURES:
-            continue
-        if candidate.total_cv_squared_error < current.total_cv_squared_error:
-            return candidate, errors
+        better = _better_fit(current, _moved_entries(current, keys, length * screened.c, ranges), progress)
+        if better is not None:
+            return better, errors
     return None, errors
+
+
+def _moved_entries(
+    current: LinearizedFit, keys: Sequence[ParameterKey], steps: Array, ranges: Mapping[ParameterKey, Range]
+) -> list[EffectEntry]:
+    """The model's entries after a step of parameters within their ranges, or the nearest that physics allows."""
+    entries = current.experiment.config.effects
+    moved = list(entries)
+    for key, step in zip(keys, steps, strict=True):
+        i, name = key
+        value = _moved_value(entries[i], name, step, ranges.get(key, _UNBOUNDED))
+        moved[i] = _with_value(moved[i], name, value)
+    for i in {i for i, _ in keys}:
+        moved[i] = effect_types()[moved[i].effect].feasible_entry(moved[i], current.experiment.model)
+    return moved
+
+
+def _better_fit(current: LinearizedFit, entries: Sequence[EffectEntry], progress: Progress) -> LinearizedFit | None:
+    """Fit with other entries on the same rows; None if it explains no more, or fails."""
+    try:
+        candidate = linearize_fit(with_effects(current.experiment, entries, current.theta), progress, current)
+    except FAILURES:
+        return None
+    return candidate if candidate.total_cv_squared_error < current.total_cv_squared_error else None
 
 
 def _moved_value(entry: EffectEntry, name: str, step: float, bounds: Range) -> float:

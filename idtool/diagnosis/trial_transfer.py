@@ -35,7 +35,7 @@ def trial_from_bytes(data: bytes, base: LinearizedFit) -> TrialFit:
 
 
 class _TrialPickler(pickle.Pickler):
-    """Names experiments instead of writing them: by their place in memory, which a copy shares, and what they add."""
+    """Pickles experiments by reference: their address, which a copy shares, their effects and operating point."""
 
     @override
     def persistent_id(self, obj: object) -> object:
@@ -45,7 +45,7 @@ class _TrialPickler(pickle.Pickler):
 
 
 class _TrialUnpickler(pickle.Unpickler):
-    """Restores the experiments that `_TrialPickler` has named; those of the base are the same objects again."""
+    """Restores the experiments from their references; those of the base are the same objects again."""
 
     def __init__(self, buffer: io.BytesIO, base: LinearizedFit) -> None:
         super().__init__(buffer)
@@ -54,7 +54,7 @@ class _TrialUnpickler(pickle.Unpickler):
 
     @override
     def persistent_load(self, pid: Any) -> Experiment:
-        place, entries, operating_point = pid
-        if place not in self._experiments:
-            self._experiments[place] = with_effects_at(self._base, entries, operating_point)
-        return self._experiments[place]
+        address, entries, operating_point = pid
+        if address not in self._experiments:
+            self._experiments[address] = with_effects_at(self._base, entries, operating_point)
+        return self._experiments[address]

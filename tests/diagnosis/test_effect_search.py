@@ -142,7 +142,7 @@ def test_a_play_is_fitted_anew_with_what_changes_the_torque_on_its_teeth(
         return inner(before, entries, moving, *others, **options)
 
     monkeypatch.setattr(candidate_fit, "fit_trial", fit_trial)
-    monkeypatch.setattr(candidate_fit, "_objection", lambda *arguments: "as this test wants it")
+    monkeypatch.setattr(candidate_fit, "_rejection_reason", lambda *arguments: "as this test wants it")
     monkeypatch.setattr(processes, "process_count", lambda: 1)
     monkeypatch.setattr(selection_round, "process_count", lambda: 1)
     selection = selection_round.find_best_effect(base, base, silent, ("parallel_spring",))
@@ -166,7 +166,7 @@ def test_what_is_optional_gives_way_to_what_the_data_then_determine(
 
     experiment = experiment_of(tmp_path, torque_on_joint(0, dahl), rows=slice(8000))
     base = linearize_fit(experiment, silent)
-    monkeypatch.setattr(candidate_fit, "_undetermined_parameter", undetermined)
+    monkeypatch.setattr(candidate_fit, "_undetermined_parameter_of_newest", undetermined)
     winner = selection_round.find_best_effect(base, base, silent, ("presliding_hysteresis",)).winner
     assert winner is not None
     found = winner.trial.entries[-1].parameters
@@ -258,7 +258,7 @@ def test_a_small_effect_that_leaves_much_is_removed(tmp_path: Path, rest: float)
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), SolverError("solver", "as this test wants it")])
-@pytest.mark.parametrize(("stage", "kept"), [("_keep_as_complete", 2), ("_drop_undetermined_parameters", 1)])
+@pytest.mark.parametrize(("stage", "kept"), [("_keep_as_complete", 2), ("_drop_insignificant_parameters", 1)])
 def test_what_an_interrupted_search_returns_to_is_not_said_to_be_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, kept: int, failure: BaseException
 ) -> None:
@@ -318,7 +318,7 @@ def test_an_optional_parameter_that_the_data_do_not_tell_is_left_out(
     (added,) = search.added
     added.entry, added.errors = DAMPED, {"damping": error, "displacement": np.inf}  # that one is not optional
     monkeypatch.setattr(search.model, "try_refit", lambda: None)
-    search._drop_undetermined_parameters()
+    search._drop_insignificant_parameters()
     expected = DAMPED.parameters if remains else {"amplitude": 1.0, "displacement": 0.1}
     assert added.entry.parameters == expected
 
@@ -343,7 +343,7 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
 
     The model has no coefficients but theirs.
     """
-    monkeypatch.setattr(candidate_fit, "_objection", lambda *arguments: "")
+    monkeypatch.setattr(candidate_fit, "_rejection_reason", lambda *arguments: "")
     changing = torque_on_joint(0, lambda t, q, v, tau: np.where(t < 0.69 * t[-1], 0.5, -0.5))
     experiment = with_fixed_inertia(experiment_of(tmp_path, together(changing, offset)))
     search = search_with(experiment, [("torque_offset", "j1"), OFFSET])

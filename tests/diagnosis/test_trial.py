@@ -11,7 +11,7 @@ import pytest
 from arms import PENDULUM
 from numpy.typing import NDArray
 from prescribed_motions import Log, prescribed_motion, silent, with_noise, with_torque
-from spatial_arm import experiment, written
+from spatial_arm import experiment, recorded, spec_of, written
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.processes import in_processes
@@ -218,3 +218,23 @@ def test_a_trial_of_a_copy_is_as_if_fitted_here(tmp_path: Path, log: Log) -> Non
     assert ours.errors == theirs.errors
     kept = trial_from_bytes(trial_to_bytes(found(base)), base)
     assert kept.linearized.row_experiment is base.row_experiment
+
+
+def test_a_payload_is_estimated_anew_beside_a_tilt(tmp_path: Path) -> None:
+    """Its inertia too, which no gradient moves: MuJoCo's arm carries a load on a base that leans."""
+    spec = spec_of()
+    load = spec.body("tool").add_body(name="load", pos=[0.02, 0.05, 0.1], explicitinertial=True, mass=0.8)
+    load.ipos, load.fullinertia = [0.0] * 3, [0.004, 0.003, 0.002, 0.0, 0.0, 0.0]
+    spec.option.gravity = [0.6, -0.9, -9.75]
+    files = written(tmp_path, recorded(spec.compile(), 6.0), noise=0.01)
+    base = linearize_fit(with_fixed_inertia(experiment(*files, fitted=True)), silent)
+    begun = {"mass": 0.6, "com": [0.0, 0.0, 0.05], "inertia": [0.02, 0.0, 0.02, 0.0, 0.0, 0.02]}
+    entries = [
+        EffectEntry(effect="payload", link="tool", parameters=begun),
+        EffectEntry(effect="gravity_tilt", parameters={"gravity": [0.0, 0.0, -9.81]}),
+    ]
+    payload, tilt = fit_trial(base, entries, (0, 1), silent, 5).entries
+    assert payload.parameters["mass"] == pytest.approx(0.8, rel=0.01)
+    np.testing.assert_allclose(payload.parameters["com"], [0.02, 0.05, 0.1], atol=0.002)
+    np.testing.assert_allclose(payload.parameters["inertia"], [0.004, 0, 0.003, 0, 0, 0.002], atol=0.002)
+    np.testing.assert_allclose(tilt.parameters["gravity"], [0.6, -0.9, -9.75], atol=0.02)

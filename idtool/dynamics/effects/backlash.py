@@ -25,15 +25,15 @@ from idtool.robot.model import RobotModel
 _TEETH_DAMPING_RATIO = 0.5  # of motor and link against each other
 _MIN_WIDTH = 3e-4  # rad or m: what gears have
 _MAX_WIDTH = 0.12  # rad or m: what would be felt by hand
-_TRIALS = 6  # the search tries finer ones around the best
-_TRIAL_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-_MIN_COEFFICIENT = 0.25  # share of the change that the width makes
+_WIDTH_COUNT = 6  # widths of the coarse grid; the search tries finer ones around the best
+_MOTOR_FRICTION_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+_MIN_COEFFICIENT = 0.25  # of the probe, ideally 1: a smaller one means that there is no backlash
 _MAX_COEFFICIENT = 3.0
 _WIDTH_BLUR = (0.85, 0.93, 1.0, 1.08, 1.17)  # factors of the width that are averaged
 _BLIP_SHARE = 0.85  # of a blip whose time is known to milliseconds: leaves the least residual on average
-_APART_SPEED = 4e-3  # of the width per sample: slower, and the teeth have met
+_MIN_SPEED_APART = 4.0  # widths per second: slower, and the teeth have met
 _IMPACT_DECAY = 0.02  # s
-_TEETH_LAG = 2e-3  # s
+_TEETH_LAG = 2e-3  # s: time constant of each of two low-passes, for the compliance of the teeth
 _MIN_INERTIA = 1e-9  # kg·m² or kg
 _MIN_STEPS = 32  # by which a path is continued
 _MIN_SQUARED_VELOCITY = 1e-9  # rad²/s² or m²/s², summed over a log: the joint rests
@@ -82,8 +82,8 @@ class Backlash(FixedJointEffect):
     @classmethod
     @override
     def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
-        for share in _TRIAL_SHARES:
-            for width in geometric_grid(_MIN_WIDTH, _MAX_WIDTH, _TRIALS):
+        for share in _MOTOR_FRICTION_SHARES:
+            for width in geometric_grid(_MIN_WIDTH, _MAX_WIDTH, _WIDTH_COUNT):
                 yield {"width": width, "motor_friction": share}
 
     @classmethod
@@ -123,7 +123,8 @@ class Backlash(FixedJointEffect):
         if self._rigid_joint_model is None:
             return {}
         position = self._motor_position(motion, self._rigid_joint_model(motion))
-        apart = np.abs(np.gradient(position)) > _APART_SPEED * self.nonlinear_values["width"]
+        speed = np.abs(np.gradient(position, motion.dt))
+        apart = speed > _MIN_SPEED_APART * self.nonlinear_values["width"]
         reach = max(round(_IMPACT_DECAY / motion.dt), 1)
         mask = ndimage.binary_dilation(apart, iterations=reach)
         return dict.fromkeys(range(len(motion.q)), mask)
@@ -171,9 +172,9 @@ def _motor_in_play(
     Teeth give when they meet: two lags of 2 ms, as good as the spring of `add_to_forward_model`. When they meet is
     known no better than to some milliseconds, and a blip that comes too early or too late explains less than none.
     """
-    link = _free_link(motion, joint, nonlinear_values["motor_friction"], linearized)
+    relative = _relative_motion(motion, joint, nonlinear_values["motor_friction"], linearized)
     width = nonlinear_values["width"]
-    positions = [_simulate_play(link, factor * width) for factor in _WIDTH_BLUR]
+    positions = [_simulate_play(relative, factor * width) for factor in _WIDTH_BLUR]
     position = np.mean(positions, axis=0)
     pole = np.exp(-motion.dt / _TEETH_LAG)
     for _ in range(2):
@@ -181,8 +182,8 @@ def _motor_in_play(
     return np.asarray(position)
 
 
-class _FreeLink:
-    """How a joint's motor and link move apart while no teeth hold them together, by the model without the play.
+class _RelativeMotion:
+    """Motion of a joint's motor relative to its link while the teeth are apart, by the model without the play.
 
     Attributes
     ----------
@@ -220,95 +221,94 @@ class _FreeLink:
         self.sample_count = len(velocity)
         self.driven_up: list[int] = np.flatnonzero(transmitted > 0).tolist()
         self.driven_down: list[int] = np.flatnonzero(transmitted < 0).tolist()
-        # per sample, while the link would move as the motor does
-        self._velocity_gain = (without_dry_friction / inertia * self.dt).tolist()
+        # changes of the relative velocity from sample to sample
+        self._velocity_change = (without_dry_friction / inertia * self.dt).tolist()
         self._damping_divisor = (1 + link_viscosity / inertia * self.dt).tolist()
-        self._dry_friction = ((1 - motor_friction) * dry_friction_level / inertia * self.dt).tolist()
+        self._max_friction_velocity_change = ((1 - motor_friction) * dry_friction_level / inertia * self.dt).tolist()
         self._motor_velocity = velocity.tolist()
         self._paths: dict[int, tuple[Array, float]] = {}  # by sample: displacements since, and the last velocity
 
-    def path_apart(self, parting: int, side: int, width: float) -> Array:
-        """Displacements of the motor against the link from the sample where teeth part to where they meet, or the last.
+    def displacement_until_contact(self, separation: int, side: int, width: float) -> Array:
+        """Displacement of the motor relative to the link from separation to contact, shape (n,) [rad or m].
 
-        The width only says where a path ends, so that plays of all widths share the paths.
+        Without contact, to the last sample. The width only says where a path ends: plays of all widths share it.
 
         Parameters
         ----------
-        parting
+        separation
             Sample at which the teeth part.
         side
             1 or −1: the end of the play at which they part.
         width
             Width of the play [rad or m].
         """
-        path, velocity = self._paths.get(parting, (np.empty(0), 0.0))
+        path, velocity = self._paths.get(separation, (np.empty(0), 0.0))
         while True:
             inward = -side * path
             have_met = np.flatnonzero((inward <= 0) | (inward >= width))
             if len(have_met):
                 return path[: have_met[0] + 1]
-            first = parting + len(path)
+            first = separation + len(path)
             if first >= self.sample_count:
                 return path
             last = min(first + max(len(path), _MIN_STEPS), self.sample_count)
-            path, velocity = self._continued(path, velocity, range(first, last))
-            self._paths[parting] = path, velocity
+            path, velocity = self._extended(path, velocity, range(first, last))
+            self._paths[separation] = path, velocity
 
-    def _continued(self, path: Array, velocity: float, samples: range) -> tuple[Array, float]:
+    def _extended(self, path: Array, velocity: float, samples: range) -> tuple[Array, float]:
         """Path over further samples, and its last relative velocity."""
         dt = self.dt
         displacement = float(path[-1]) if len(path) else 0.0
         displacements = []
         for k in samples:
-            damped_velocity = (velocity + self._velocity_gain[k]) / self._damping_divisor[k]
+            damped_velocity = (velocity + self._velocity_change[k]) / self._damping_divisor[k]
             # Dry friction slows the link down, at most to rest.
             link_velocity = self._motor_velocity[k] - damped_velocity
-            most_slowing = self._dry_friction[k]
-            velocity = damped_velocity + min(max(link_velocity, -most_slowing), most_slowing)
+            max_change = self._max_friction_velocity_change[k]
+            velocity = damped_velocity + min(max(link_velocity, -max_change), max_change)
             displacement += velocity * dt
             displacements.append(displacement)
         return np.concatenate([path, displacements]), velocity
 
 
-# the latest one along each model, which serves all widths of the play
-_free_links: WeakKeyDictionary[Linearization, tuple[int, float, _FreeLink]] = WeakKeyDictionary()
+_latest_relative_motions: WeakKeyDictionary[Linearization, tuple[int, float, _RelativeMotion]] = WeakKeyDictionary()
 
 
-def _free_link(motion: Motion, joint: int, motor_friction: float, linearized: Linearization) -> _FreeLink:
-    """How a joint's motor and link move apart; kept until another joint or friction is asked for along the model."""
-    kept = _free_links.get(linearized)
+def _relative_motion(motion: Motion, joint: int, motor_friction: float, linearized: Linearization) -> _RelativeMotion:
+    """Relative motion of a joint's motor and link; the latest is kept for each model, since all widths share it."""
+    kept = _latest_relative_motions.get(linearized)
     if kept is not None and kept[:2] == (joint, motor_friction):
         return kept[2]
-    link = _FreeLink(motion, joint, motor_friction, linearized)
-    _free_links[linearized] = joint, motor_friction, link
-    return link
+    relative = _RelativeMotion(motion, joint, motor_friction, linearized)
+    _latest_relative_motions[linearized] = joint, motor_friction, relative
+    return relative
 
 
-def _simulate_play(link: _FreeLink, width: float) -> Array:
+def _simulate_play(relative: _RelativeMotion, width: float) -> Array:
     """Position of the motor within a play, in [−width/2, width/2], shape (N,) [rad or m].
 
     Parameters
     ----------
-    link
-        How motor and link move apart.
+    relative
+        Motion of motor and link while the teeth are apart.
     width
         Width of the play [rad or m].
     """
-    positions = np.empty(link.sample_count)
-    begins_driven_down = link.driven_down[:1] == [0]
+    positions = np.empty(relative.sample_count)
+    begins_driven_down = relative.driven_down[:1] == [0]
     side = -1 if begins_driven_down else 1  # of the play, at which the teeth are in contact
     k = 0
-    while k < link.sample_count:
+    while k < relative.sample_count:
         # The teeth stay in contact until they are driven apart.
-        leaving = link.driven_down if side > 0 else link.driven_up
-        following = bisect_left(leaving, k)
-        parting = leaving[following] if following < len(leaving) else link.sample_count
+        driven_apart = relative.driven_down if side > 0 else relative.driven_up
+        next_drive = bisect_left(driven_apart, k)
+        separation = driven_apart[next_drive] if next_drive < len(driven_apart) else relative.sample_count
         contact = side * width / 2
-        positions[k:parting] = contact
-        if parting == link.sample_count:
+        positions[k:separation] = contact
+        if separation == relative.sample_count:
             break
-        path = link.path_apart(parting, side, width)
-        k = parting + len(path)
-        positions[parting:k] = np.clip(contact + path, -width / 2, width / 2)
+        path = relative.displacement_until_contact(separation, side, width)
+        k = separation + len(path)
+        positions[separation:k] = np.clip(contact + path, -width / 2, width / 2)
         side = 1 if positions[k - 1] > 0 else -1
     return positions

@@ -162,6 +162,11 @@ class NamedEffect(Effect):
         return entry
 
     @classmethod
+    def coefficients_of(cls, entry: EffectEntry, model: RobotModel) -> tuple[Probe, Array] | None:
+        """Probe in whose k coefficients an entry is linear, and their values, shape (k,); None: in none."""
+        return None
+
+    @classmethod
     def grid_parameters(cls) -> tuple[str, ...]:
         """Nonlinear parameters that a search finds by trying values, since the columns jump with them."""
         return ()

@@ -91,6 +91,15 @@ class Payload(LinkEffect):
 
     @classmethod
     @override
+    def coefficients_of(cls, entry: EffectEntry, model: RobotModel) -> tuple[Probe, Array]:
+        """Probe of a payload on its link, and its ten parameters in the link's frame."""
+        mass = read_number(entry, "mass")
+        com = read_vector(entry, "com", 3)
+        inertia = symmetric_matrix(read_vector(entry, "inertia", 6))
+        return cls._probe(model, str(entry.link)), from_mass_com_inertia(mass, com, inertia)
+
+    @classmethod
+    @override
     def probes(cls, summary: DataSummary) -> Iterator[Probe]:
         """One probe per link if the URDF's inertia is fixed; else a payload is part of the link's own inertia."""
         if not summary.fixed_inertia:
