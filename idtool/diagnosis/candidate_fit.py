@@ -47,15 +47,15 @@ def fit_and_judge(
     these were found without the candidate, and may imitate it.
     """
     fitted = fit_candidate(base, candidate, progress)
-    rejection_reason = _rejection_reason(fitted, base, initial, summary)
-    others = _movable_on_joint(base, candidate.probe.joint)
-    if not rejection_reason or not others:
-        return fitted, rejection_reason
+    reason = rejection_reason(fitted, base, initial, summary)
+    others = movable_on_joint(base, candidate.probe.joint)
+    if not reason or not others:
+        return fitted, reason
     try:
         refitted = fit_candidate(base, candidate, progress, others)
     except FAILURES:
-        return fitted, rejection_reason
-    return refitted, _rejection_reason(refitted, base, initial, summary)
+        return fitted, reason
+    return refitted, rejection_reason(refitted, base, initial, summary)
 
 
 def fit_candidate(
@@ -80,10 +80,11 @@ def fit_candidate(
     moving = [*others, len(entries) - 1]
     max_steps = _MAX_GAUSS_NEWTON_STEPS if others else 1  # screening has found the candidate's own values already
     trial = fit_trial(base, entries, moving, progress, max_steps=max_steps)
-    if _undetermined_parameter_of_newest(trial):  # it may be determined closer to the optimum
+    newest = len(entries) - 1
+    if _undetermined_parameter(trial, newest):  # it may be determined closer to the optimum
         trial = fit_trial(base, trial.entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
-    if _undetermined_parameter_of_newest(trial):  # it may be determined if there is nothing else to determine
-        simpler = without_insignificant_parameters(trial.entries[-1], _errors_of_newest(trial))
+    if _undetermined_parameter(trial, newest):  # it may be determined if there is nothing else to determine
+        simpler = without_insignificant_parameters(trial.entries[-1], _errors_of_effect(trial, newest))
         if simpler is not trial.entries[-1]:
             simpler_entries = (*trial.entries[:-1], simpler)
             trial = fit_trial(base, simpler_entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
@@ -136,13 +137,12 @@ def _without(entry: EffectEntry, names: Sequence[str]) -> EffectEntry:
     return entry.model_copy(update={"parameters": parameters})
 
 
-def _errors_of_newest(trial: TrialFit) -> dict[str, float]:
-    """Standard errors of the newest effect's nonlinear parameters that were moved."""
-    last = len(trial.entries) - 1
-    return {name: error for (i, name), error in trial.errors.items() if i == last}
+def _errors_of_effect(trial: TrialFit, place: int) -> dict[str, float]:
+    """Standard errors of an effect's nonlinear parameters that were moved; ``place`` is its index in the entries."""
+    return {name: error for (i, name), error in trial.errors.items() if i == place}
 
 
-def _movable_on_joint(base: LinearizedFit, joint: str | None) -> list[int]:
+def movable_on_joint(base: LinearizedFit, joint: str | None) -> list[int]:
     """Indices of the model's effects on a joint that have nonlinear parameters to move."""
     movable = []
     for i, entry in enumerate(base.experiment.config.effects):
@@ -158,19 +158,34 @@ def not_fitted_reason(failure: Exception) -> str:
     return f"cannot be fitted together with the rest of the model: {failure_reason(failure)}"
 
 
-def _rejection_reason(
-    candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary
+def rejection_reason(
+    candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary, new_count: int = 1
 ) -> str:
-    """Reason why the fitted candidate is rejected, as a clause; empty if it is accepted."""
-    fit = candidate.trial.linearized
-    implausibility = _implausibility(candidate, summary)
-    if implausibility:
-        return implausibility
-    if not _is_within_bounds(fit, base):
-        return "reaches its bounds when fitted with the rest of the model"
-    parameter = _undetermined_parameter_of_newest(candidate.trial)
-    if parameter:
-        return f"its {parameter} is not determined by the data"
+    """Reason why a fitted candidate is rejected, as a clause; empty if it is accepted.
+
+    Parameters
+    ----------
+    candidate
+        The candidate.
+    base, initial
+        The model without it, and the model without any of the effects found.
+    summary
+        The robot and its data.
+    new_count
+        Number of effects that the model has in addition to the base: those at the end of its entries.
+    """
+    trial = candidate.trial
+    fit = trial.linearized
+    count = len(trial.entries)
+    for place in range(count - new_count, count):
+        implausibility = _implausibility(fit, trial.entries[place], summary)
+        if implausibility:
+            return implausibility
+        if not _is_within_bounds(fit, trial.entries[place]):
+            return "reaches its bounds when fitted with the rest of the model"
+        parameter = _undetermined_parameter(trial, place)
+        if parameter:
+            return f"its {parameter} is not determined by the data"
     loss = -np.minimum(candidate.gains, 0).sum()
     gain = np.maximum(candidate.gains, 0).sum()
     if loss > _MAX_LOSS_SHARE * gain:
@@ -183,10 +198,8 @@ def _rejection_reason(
     return ""
 
 
-def _implausibility(candidate: FittedCandidate, summary: DataSummary) -> str:
-    """Reason why no robot has such an effect, a clause; empty if one may have it."""
-    fit = candidate.trial.linearized
-    entry = candidate.trial.entries[-1]
+def _implausibility(fit: LinearizedFit, entry: EffectEntry, summary: DataSummary) -> str:
+    """Reason why no robot has an effect of the model, a clause; empty if one may have it."""
     values = dict(entry.values)
     effect_and_slice = fit.find_effect(entry)
     if effect_and_slice is not None:
@@ -213,18 +226,24 @@ def _worsens_held_out_error(candidate: FittedCandidate, base: LinearizedFit) -> 
     return bool(with_effect[is_acted_on].sum() > _MAX_HELD_OUT_RATIO * without[is_acted_on].sum())
 
 
-def _undetermined_parameter_of_newest(trial: TrialFit) -> str:
-    """First nonlinear parameter of the newest effect that the data do not determine; empty if there is none.
+def _undetermined_parameter(trial: TrialFit, place: int) -> str:
+    """First nonlinear parameter of an effect that the data do not determine; empty if there is none.
 
     Its standard error is too large, or its value is at an end of its range.
+
+    Parameters
+    ----------
+    trial
+        The fit.
+    place
+        Index of the effect in its entries.
     """
-    last = len(trial.entries) - 1
-    entry = trial.entries[last]
-    imprecise = imprecise_parameter(entry, _errors_of_newest(trial))
+    entry = trial.entries[place]
+    imprecise = imprecise_parameter(entry, _errors_of_effect(trial, place))
     if imprecise:
         return imprecise
     for parameter in effect_types()[entry.effect].nonlinear_parameters:
-        key = (last, parameter.name)
+        key = (place, parameter.name)
         value = parameter_value(entry, parameter.name)
         if key in trial.errors and _must_be_determined(parameter) and isinstance(value, float):
             low, high = trial.ranges.get(key, (-np.inf, np.inf))  # of these, only positive ones have one
@@ -267,21 +286,19 @@ def _max_standard_error(parameter: NonlinearParameter, value: float) -> float:
     return np.inf
 
 
-def _is_within_bounds(fit: LinearizedFit, base: LinearizedFit) -> bool:
-    """True if every new coefficient is below its upper bound, and at least one is above its lower bound.
+def _is_within_bounds(fit: LinearizedFit, entry: EffectEntry) -> bool:
+    """True if an effect's coefficients are below their upper bounds, and at least one is above its lower bound.
 
-    New are those that the base does not have; True if there are none. At its lower bound, a coefficient is absent. Some
-    may be, as a part of an effect; if all are, the effect itself is absent.
+    At its lower bound, a coefficient is absent. Some may be, as a part of an effect; if all are, the effect itself is
+    absent. True for an effect without coefficients.
     """
-    base_keys = {c.key for c in base.experiment.equation.coefficients}
-    new = []
-    for c, value in zip(fit.experiment.equation.coefficients, fit.estimate.theta, strict=True):
-        if c.key not in base_keys:
-            new.append((c, value))
-    if not new:
+    effect_and_slice = fit.find_effect(entry)
+    if effect_and_slice is None:
         return True
-    is_present = any(value > c.lower + _BOUND_TOLERANCE for c, value in new)
-    return is_present and all(value < c.upper for c, value in new)
+    _, part = effect_and_slice
+    own = list(zip(fit.experiment.equation.coefficients[part], fit.estimate.theta[part], strict=True))
+    is_present = any(value > c.lower + _BOUND_TOLERANCE for c, value in own)
+    return is_present and all(value < c.upper for c, value in own)
 
 
 def _exceeds_model_error(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit, min_share: float) -> bool:

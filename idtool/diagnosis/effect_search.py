@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 
 from idtool.common.exceptions import ConfigError
@@ -18,6 +19,7 @@ from idtool.diagnosis.candidate_fit import (
     without_insignificant_parameters,
     without_optional_parameters,
 )
+from idtool.diagnosis.effect_pair import find_best_pair
 from idtool.diagnosis.error_summary import evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
@@ -248,8 +250,10 @@ class EffectSearch:
         self.model.remove([effect])
 
     def _add_effects(self) -> None:
-        """Add effects of all kinds."""
+        """Add effects of all kinds, one by one, and where none is left, two at a time."""
         self._add_in_rounds(self._effects, MIN_SHARE)
+        while self._add_pair():
+            self._add_in_rounds(self._effects, MIN_SHARE)
 
     def _add_reversal_effects(self) -> None:
         """Add effects that act at reversals and explain most of the residual."""
@@ -290,6 +294,27 @@ class EffectSearch:
             if present in earlier:
                 break
             earlier.add(present)
+
+    def _add_pair(self) -> bool:
+        """Add two effects that the last round rejected and that are worthwhile together; False if there are none."""
+        selection = self.last_round
+        if selection is None or selection.winner is not None or len(self.reported) + 2 > self._max_effects:
+            return False
+        pair = find_best_pair(selection, self.initial, self.progress)
+        if pair is None:
+            return False
+        before = self.model.state()
+        names = {probe_target(effect.probe) for effect in pair.effects}
+        others = tuple(one for one in selection.rejected if (one.effect, one.target) not in names)
+        selection = replace(selection, rejected=others)
+        for effect, entry in zip(pair.effects, pair.trial.entries[-2:], strict=True):
+            self.added.append(AddedEffect(entry, selection, fitted_record(effect, self.current)))
+        if self.model.try_refit() or lowers_held_out_likelihood(before.current, self.current):
+            self.model.restore(before)
+            return False
+        self._prune()
+        self._keep_as_complete()
+        return True
 
     def _reversal_effects(self) -> tuple[str, ...]:
         """Ids of the effects to try that act at reversals."""

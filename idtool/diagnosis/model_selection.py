@@ -131,6 +131,8 @@ class SelectionStep:
         Number of rows that are worth one independent row.
     failed
         Those of ``rejected`` that could not be screened or fitted.
+    screened
+        All probes, each with its gain, if there is no winner.
     """
 
     base: LinearizedFit
@@ -140,6 +142,7 @@ class SelectionStep:
     rejected: tuple[Candidate, ...]
     inflation: float
     failed: tuple[Candidate, ...] = ()
+    screened: tuple[ScreenedProbe, ...] = ()
 
     def alternatives(self) -> tuple[Candidate, ...]:
         """Records of the finalists that compete with the winner, the best first."""
@@ -216,7 +219,8 @@ def select_best(
     rejected = _all_rejected(base, screening, fits)
     failed = _reportable([*screening.failed, *fits.failed])
     if not worthwhile:
-        return SelectionStep(base, None, (), tuple(finalists), rejected, inflation, failed)
+        screened = tuple(screening.screened)
+        return SelectionStep(base, None, (), tuple(finalists), rejected, inflation, failed, screened)
 
     winner = _simplest_of_best(worthwhile)
     rivals = _rivals(finalists, winner, progress)

@@ -91,6 +91,11 @@ class ScreenedProbe:
         """Configuration entry; None if there is no such effect."""
         return self.probe.to_entry(self.c, self.information)
 
+    def marginal_information(self, part: slice) -> Array:
+        """Information of the data on some of the coefficients if the others are free too, shape (k, k) of these."""
+        covariance = np.linalg.pinv(self.information)
+        return np.asarray(np.linalg.pinv(covariance[part, part]))
+
 
 def sum_standard_error(values: Array) -> float:
     """Standard error of the sum of independent values, shape (F,), from their scatter."""

@@ -21,7 +21,7 @@ from idtool.diagnosis.summarize_data import summarize_data
 from idtool.dynamics.effects import build_effects, effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.linearization import Linearization
-from idtool.dynamics.effects.probe import Probe
+from idtool.dynamics.effects.probe import Probe, joined_probe
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.regressor import LinearModel, OperatingPoint
 from idtool.estimation.dataset.equality_constraints import Constraint, equality_constraints
@@ -277,10 +277,10 @@ def _step_of_coefficients(
         probe, coefficients = linear
         others = [j for j in moving if j != i]
         keys = _gradient_keys(entries, others)
-        joint_probe = _joined(probe, _parameter_probe(current, keys, ranges)) if keys else probe
+        joint_probe = joined_probe(probe, _parameter_probe(current, keys, ranges)) if keys else probe
         (screened,) = screen_probes(current, [joint_probe], progress, "optimizing nonlinear parameters")
         count = probe.coefficient_count
-        information = _marginal_information(screened.information, count)
+        information = screened.marginal_information(slice(0, count))
         for length in _STEP_LENGTHS:
             step = length * screened.c
             own_entry = probe.to_entry(coefficients + step[:count], information)
@@ -293,27 +293,6 @@ def _step_of_coefficients(
                 current = better
                 break
     return current
-
-
-def _joined(first: Probe, second: Probe) -> Probe:
-    """Probe with the columns of two; it is of no effect, so that it has no configuration entry."""
-
-    def columns(motion: Motion, model: Linearization) -> Mapping[int, Array]:
-        parts = [(probe.columns(motion, model), probe.coefficient_count) for probe in (first, second)]
-        joined = {}
-        for j in range(len(motion.q)):
-            rows = [by_joint.get(j, np.zeros((count, len(motion.t)))) for by_joint, count in parts]
-            joined[j] = np.concatenate(rows)
-        return joined
-
-    count = first.coefficient_count + second.coefficient_count
-    return Probe("", None, None, columns, count, lambda c, information: None)
-
-
-def _marginal_information(information: Array, count: int) -> Array:
-    """Information on the first coefficients if the others are free, shape (count, count)."""
-    cross = information[:count, count:]
-    return np.asarray(information[:count, :count] - cross @ np.linalg.pinv(information[count:, count:]) @ cross.T)
 
 
 def _gauss_newton_step(

@@ -88,6 +88,21 @@ class Probe:
         return bool((c >= lower).all() and (c <= upper).all())
 
 
+def joined_probe(first: Probe, second: Probe) -> Probe:
+    """Probe with the columns of two; it is of no effect, so that it has no configuration entry."""
+
+    def columns(motion: Motion, model: Linearization) -> Mapping[int, Array]:
+        parts = [(probe.columns(motion, model), probe.coefficient_count) for probe in (first, second)]
+        joined = {}
+        for j in range(len(motion.q)):
+            rows = [by_joint.get(j, np.zeros((count, len(motion.t)))) for by_joint, count in parts]
+            joined[j] = np.concatenate(rows)
+        return joined
+
+    count = first.coefficient_count + second.coefficient_count
+    return Probe("", None, None, columns, count, lambda c, information: None)
+
+
 def geometric_grid(low: float, high: float, count: int) -> list[float]:
     """Values in equal ratios from ``low`` to ``high``; none if the range is empty."""
     if not 0 < low < high:

@@ -1,0 +1,185 @@
+"""Two effects on one joint that explain its residual only together.
+
+Where a joint lacks two effects, each alone may increase the error in parts of the log, or need parameters that no robot
+has, so that a round of the search rejects both. Here all pairs of a joint's candidates are screened, and the best are
+fitted with the whole model. Two effects can imitate more than one can, so they must explain nearly all that the
+residual of the joint has above its noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.diagnosis.candidate_fit import movable_on_joint, rejection_reason
+from idtool.diagnosis.linearized_fit import LinearizedFit
+from idtool.diagnosis.model_selection import (
+    MIN_SIGNIFICANCE,
+    FittedCandidate,
+    SelectionStep,
+    best_by_key,
+    block_gains,
+    explained_share,
+    is_reportable,
+    is_worthwhile,
+)
+from idtool.diagnosis.noise_floor import estimate_noise_floor
+from idtool.diagnosis.screen import ScreenedProbe, screen_probes
+from idtool.diagnosis.summarize_data import summarize_data
+from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, has_fixed_inertia
+from idtool.dynamics.effects.probe import joined_probe
+from idtool.estimation.dataset.experiment import Progress
+
+_STAGE = "trying pairs of effects"
+_MAX_GAUSS_NEWTON_STEPS = 8
+_MAX_FITS = 3  # pairs of a joint that are fitted with the whole model
+_MIN_SCREENED_SHARE = 0.4  # of a joint's squared residual, that a pair must explain to first order to be fitted
+_MIN_SHARE_ABOVE_NOISE = 0.9  # of a joint's squared residual above its noise, that a pair must explain
+
+
+@dataclass(frozen=True)
+class _ScreenedPair:
+    """Two effects on one joint, and what they explain.
+
+    Attributes
+    ----------
+    effects
+        Both, each with its coefficients in the pair and its gain beside the other.
+    gains
+        Gain of the pair in each block, shape (F,).
+    """
+
+    effects: tuple[ScreenedProbe, ScreenedProbe]
+    gains: Array
+
+    @property
+    def gain(self) -> float:
+        """Gain of the pair over all blocks."""
+        return float(self.gains.sum())
+
+
+@dataclass(frozen=True)
+class FittedPair:
+    """Two effects on one joint, fitted together with the whole model.
+
+    Attributes
+    ----------
+    effects
+        Both, each with its gain beside the other.
+    trial
+        Fit of the model with both; they are its last entries.
+    """
+
+    effects: tuple[FittedCandidate, FittedCandidate]
+    trial: TrialFit
+
+
+def find_best_pair(selection: SelectionStep, initial: LinearizedFit, progress: Progress) -> FittedPair | None:
+    """Two effects on one joint that explain its residual together, where a round found no single one; None without.
+
+    Parameters
+    ----------
+    selection
+        The round.
+    initial
+        The model without any of the effects found.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    """
+    for joint in selection.base.experiment.equation.joints:
+        for pair in _screen_pairs(selection, joint, progress)[:_MAX_FITS]:
+            try:
+                fitted = _fit_pair(pair, selection, initial, progress)
+            except FAILURES:
+                continue
+            if fitted is not None:
+                return fitted
+    return None
+
+
+def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> list[_ScreenedPair]:
+    """Pairs of effects on a joint that explain much of its residual, the largest gain first."""
+    base = selection.base
+    own = [one for one in selection.screened if one.probe.joint == joint and is_reportable(one.probe.effect)]
+    singles = list(best_by_key(one for one in own if not one.failure).values())
+    largest_gain = max((one.gain for one in singles), default=0.0)
+    if largest_gain < MIN_SIGNIFICANCE**2 * selection.inflation:
+        return []
+    choices = list(combinations(singles, 2))
+    probes = [joined_probe(first.probe, second.probe) for first, second in choices]
+    pairs = []
+    for (first, second), joined in zip(choices, screen_probes(base, probes, progress, _STAGE), strict=True):
+        pair = _screened_pair(first, second, joined)
+        is_large = explained_share(pair.gain, base, 1) > _MIN_SCREENED_SHARE
+        if is_large and all(_is_needed(effect, selection) for effect in pair.effects):
+            pairs.append(pair)
+    return sorted(pairs, key=lambda pair: -pair.gain)
+
+
+def _screened_pair(first: ScreenedProbe, second: ScreenedProbe, joined: ScreenedProbe) -> _ScreenedPair:
+    """Pair of two probes, from the screening of each and of both together."""
+    count = first.probe.coefficient_count
+    return _ScreenedPair(
+        (_beside(second, first, joined, slice(0, count)), _beside(first, second, joined, slice(count, None))),
+        joined.gains,
+    )
+
+
+def _beside(other: ScreenedProbe, one: ScreenedProbe, joined: ScreenedProbe, part: slice) -> ScreenedProbe:
+    """A probe with its coefficients, a part of those of a pair, and its gain, beside the other one of the pair."""
+    return replace(
+        one,
+        c=joined.c[part],
+        covariance=joined.covariance[part, part],
+        information=joined.marginal_information(part),
+        gains=joined.gains - np.maximum(other.gains, 0.0),
+    )
+
+
+def _is_needed(effect: ScreenedProbe, selection: SelectionStep) -> bool:
+    """True if an effect of a pair is possible, and worthwhile beside the other."""
+    complexity = effect.probe.complexity
+    return effect.is_possible and is_worthwhile(effect.gain, selection.base, selection.inflation, True, complexity)
+
+
+def _fit_pair(
+    pair: _ScreenedPair, selection: SelectionStep, initial: LinearizedFit, progress: Progress
+) -> FittedPair | None:
+    """Pair fitted with the whole model; None if it is rejected. Raises as `fit_trial`."""
+    base = selection.base
+    first, second = pair.effects
+    joint = str(first.probe.joint)
+    entries = list(base.experiment.config.effects)
+    entries += [effect.entry for effect in pair.effects if effect.entry is not None]
+    newest = [len(entries) - 2, len(entries) - 1]
+    moving = [*movable_on_joint(base, joint), *newest]
+    trial = fit_trial(base, entries, moving, progress, _MAX_GAUSS_NEWTON_STEPS)
+
+    gains = block_gains(base, trial.linearized)
+    both = FittedCandidate(second, trial, gains)
+    summary = summarize_data(base, fixed_inertia=has_fixed_inertia(base.experiment))
+    if rejection_reason(both, base, initial, summary, new_count=2):
+        return None
+    if _share_above_noise(base, trial.linearized, joint, progress) < _MIN_SHARE_ABOVE_NOISE:
+        return None
+    without_first = pair.gains - first.gains
+    without_second = pair.gains - second.gains
+    effects = (
+        FittedCandidate(first, trial, gains - without_first),
+        FittedCandidate(second, trial, gains - without_second),
+    )
+    return FittedPair(effects, trial)
+
+
+def _share_above_noise(before: LinearizedFit, after: LinearizedFit, joint: str, progress: Progress) -> float:
+    """Share of a joint's squared residual above its noise that a model explains, and another one does not."""
+    floors = []
+    for fit in (before, after):
+        floors.append(estimate_noise_floor(fit.experiment, fit.theta, progress, fit.reversal_margin))
+    j = after.experiment.equation.joints.index(joint)
+    square_before, square_after = (float(floor.residual[j]) ** 2 for floor in floors)
+    noise_square = min(float(floor.noise[j]) for floor in floors) ** 2
+    return (square_before - square_after) / max(square_before - noise_square, np.finfo(float).tiny)
