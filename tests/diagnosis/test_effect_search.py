@@ -161,12 +161,12 @@ def test_what_is_optional_gives_way_to_what_the_data_then_determine(
             states.append(states[-1] + path / 0.05 * (1 - states[-1] * np.sign(path)))
         return 0.8 * np.array(states)
 
-    def undetermined(trial: TrialFit) -> str:
+    def undetermined(trial: TrialFit, place: int) -> str:
         return "displacement" if "damping" in trial.entries[-1].parameters else ""
 
     experiment = experiment_of(tmp_path, torque_on_joint(0, dahl), rows=slice(8000))
     base = linearize_fit(experiment, silent)
-    monkeypatch.setattr(candidate_fit, "_undetermined_parameter_of_newest", undetermined)
+    monkeypatch.setattr(candidate_fit, "_undetermined_parameter", undetermined)
     winner = selection_round.find_best_effect(base, base, silent, ("presliding_hysteresis",)).winner
     assert winner is not None
     found = winner.trial.entries[-1].parameters
