@@ -157,7 +157,8 @@ def _residual_samples(
         parts = run.parts(held_out)
         for batch in tracked(experiment.batches(run, held_out), parts, progress, "estimating the noise floor"):
             model = LinearizedModel(experiment.equation, theta, batch.motion)
-            residual = batch.filter(model.residual)
+            measured, predicted = experiment.equation.compared_torques(batch, theta)
+            residual = measured - predicted
             moving = np.array(experiment.equation.clean_samples(batch, reversal_margin))
             moving_squares += (np.square(residual) * moving).sum(axis=1)
             moving_count += moving.sum(axis=1)

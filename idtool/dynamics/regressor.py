@@ -326,36 +326,47 @@ class LinearModel:
             tau = tau + fixed
         return np.asarray(tau)
 
-    def compared_torques(self, motion: Motion, theta: Array) -> tuple[Array, Array]:
-        """Measured torque and that which the model predicts, as they are compared, unfiltered.
+    def compared_torques(self, batch: Batch, theta: Array) -> tuple[Array, Array]:
+        """Measured torque and that which the model predicts, as they are compared, in the band.
 
         Both are as the sensors give them, but where a motor saturates, as it reaches the joint: what lies between the
         motor and the log, such as a gain, is then undone too.
 
+        Torque sensors see the predicted torque in the band: bent by one that saturates, the noise of its accelerations
+        would not average to zero.
+
         Parameters
         ----------
-        motion
-            N samples, as measured.
+        batch
+            Samples, as measured.
         theta
             Coefficients, shape (..., p).
 
         Returns
         -------
-        Shapes (nv, N) and (..., nv, N) [N·m or N].
+        Filtered, shapes (nv, n) and (..., nv, n) [N·m or N].
         """
-        measured = motion
-        predicted = self._predicted_torque(motion, theta)
         undone = self._undone_sensors()
-        for effect in self.effects:
-            if effect in undone:
-                measured = effect.correct_motion(measured)
-        for effect in reversed(self.effects):
-            if effect not in undone:
-                predicted = effect.apply_sensor(predicted, motion)
-        return measured.tau, predicted
+        measured = batch.motion
+        for effect in reversed(undone):
+            measured = effect.correct_motion(measured)
+
+        remaining = [effect for effect in reversed(self.effects) if effect not in undone]
+        predicted = self._predicted_torque(batch.motion, theta)
+        for effect in remaining:
+            if not isinstance(effect, TorqueSensorEffect):
+                predicted = effect.apply_sensor(predicted, batch.motion)
+        predicted = batch.filter(predicted)
+        for effect in remaining:
+            if isinstance(effect, TorqueSensorEffect):
+                predicted = effect.apply_sensor(predicted, batch.motion)
+        return batch.filter(measured.tau), predicted
 
     def _undone_sensors(self) -> list[Effect]:
-        """Sensors behind which errors are compared: motors that saturate, and what is nearer to the log on a joint."""
+        """Sensors behind which errors are compared: motors that saturate, and what is nearer to the log on a joint.
+
+        The one nearest to the log is the last.
+        """
         joints = set()
         undone: list[Effect] = []
         for effect in reversed(self.effects):

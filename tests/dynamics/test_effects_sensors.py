@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from commands import config_with, idtool, refuse
+from disturbed import experiment_of, nothing
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -259,3 +261,23 @@ def test_one_entry_of_a_kind_a_joint(tmp_path: Path, log: Log) -> None:
         config = config_with(tmp_path / "twice.yaml", effects=[twice, twice])
         said = f"effects: {twice['effect']}: is listed twice{on}; keep one entry"
         refuse(folder, "fit", urdf, csv, "--config", config, "--out", "out", naming=said)
+
+
+def test_noise_of_the_accelerations_does_not_bend_the_predicted_torque(tmp_path: Path) -> None:
+    """A saturated mean is not the mean of saturated values, by Jensen's inequality."""
+    level, bend = 3.0, 0.3
+    saturation = {"effect": "torque_saturation", "joint": "j1", "parameters": {"level": level, "bend": bend}}
+    experiment = experiment_of(tmp_path, nothing, effects=[saturation])
+    theta = experiment.equation.prior
+    (run,) = experiment.runs
+    rng = np.random.default_rng(0)
+    shifts = []
+    for batch in experiment.batches(run, held_out=False):
+        noisy_a = batch.motion.a + 20 * rng.standard_normal(batch.motion.a.shape)
+        noisy = replace(batch, motion=replace(batch.motion, a=noisy_a, kept_columns=None))
+        _, predicted = experiment.equation.compared_torques(batch, theta)
+        _, predicted_of_noisy = experiment.equation.compared_torques(noisy, theta)
+        is_bent = np.abs(predicted[0]) > level
+        shifts.append((np.abs(predicted_of_noisy[0]) - np.abs(predicted[0]))[is_bent])
+    shift = np.concatenate(shifts)
+    assert abs(shift.mean()) < 0.1 * shift.std()

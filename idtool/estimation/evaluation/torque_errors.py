@@ -132,5 +132,5 @@ def evaluate(
 def _predict(experiment: Experiment, batch: Batch, models: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
     """Measured torque and each model's, in the band, at every sample."""
     thetas = np.stack(list(models.values()))
-    measured, predicted = experiment.equation.compared_torques(batch.motion, thetas)
-    return batch.filter(measured), dict(zip(models, batch.filter(predicted), strict=True))
+    measured, predicted = experiment.equation.compared_torques(batch, thetas)
+    return measured, dict(zip(models, predicted, strict=True))
