@@ -14,6 +14,7 @@ from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.held_out_error import held_out_mean_squares, lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import FittedCandidate, block_gains, is_reportable
+from idtool.diagnosis.noise_floor import estimate_noise_floor
 from idtool.diagnosis.screen import ScreenedProbe
 from idtool.diagnosis.trial import FAILURES, TrialFit, failure_reason, fit_trial, parameter_value
 from idtool.dynamics.effects import effect_types
@@ -24,13 +25,15 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import EffectEntry
 
 _MAX_GAUSS_NEWTON_STEPS = 5  # of the fit of a candidate for which one step is not enough
+_MIN_SHARE_OF_SCREENED = 0.8  # of the gain of the screening, that a complete fit must have
 _MAX_HELD_OUT_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
 _MAX_LOSS_SHARE = 0.2  # largest ratio of the loss in some blocks to the gain in others
 _MIN_PARAMETER_SIGNIFICANCE = 2.5  # least ratio of an optional parameter to its standard error, to be kept
 # least reduction, as a share of the initial squared residual: the effects found are accurate to 1 % at best, squared
 _MIN_SAVED_SHARE = 1e-4
 _MIN_SHARE_OF_TORQUE = 5e-3  # of a joint's rms torque, that an effect must have to be named
-_MIN_SHARE_UNREPORTED = 3e-3  # likewise, to be only included in the fit
+_MIN_SHARE_IF_COMPLETE = 3e-3  # likewise, if it explains nearly all that is left, or is not reported
+NEARLY_ALL = 0.9  # of a joint's squared residual above its noise
 _TOO_SMALL = (
     "explains less than the uncertainty of the effects that were found before, or only a negligible part of the torque"
 )
@@ -39,23 +42,45 @@ _BOUND_TOLERANCE = 1e-9  # distance from a bound, up to which a coefficient is a
 
 
 def fit_and_judge(
-    candidate: ScreenedProbe, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary, progress: Progress
+    candidate: ScreenedProbe,
+    base: LinearizedFit,
+    initial: LinearizedFit,
+    summary: DataSummary,
+    movable: Sequence[int],
+    progress: Progress,
 ) -> tuple[FittedCandidate, str]:
     """Fit of a candidate with the whole model, and the reason why it is rejected, a clause; empty if it is accepted.
 
-    One that would be rejected is fitted again together with the nonlinear parameters of the other effects on its joint:
-    these were found without the candidate, and may imitate it.
+    The nonlinear parameters of the other effects were found without the candidate, and may imitate it. Where it is
+    rejected, or explains less than beside their best values in the screening, they are fitted anew together with it.
+
+    Parameters
+    ----------
+    candidate
+        The candidate.
+    base, initial
+        The model, and the model without any of the effects found.
+    summary
+        The robot and its data.
+    movable
+        Indices of the model's effects whose nonlinear parameters may be moved.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
     """
     fitted = fit_candidate(base, candidate, progress)
-    reason = rejection_reason(fitted, base, initial, summary)
-    others = movable_on_joint(base, candidate.probe.joint)
-    if not reason or not others:
+    reason = rejection_reason(fitted, base, initial, summary, progress)
+    others = movable_beside(base, candidate.probe.joint, movable)
+    is_complete = not reason and fitted.gain > _MIN_SHARE_OF_SCREENED * candidate.gain
+    if is_complete or not others:
         return fitted, reason
     try:
         refitted = fit_candidate(base, candidate, progress, others)
     except FAILURES:
         return fitted, reason
-    return refitted, rejection_reason(refitted, base, initial, summary)
+    reason_of_refitted = rejection_reason(refitted, base, initial, summary, progress)
+    if reason_of_refitted and not reason:
+        return fitted, reason
+    return refitted, reason_of_refitted
 
 
 def fit_candidate(
@@ -142,15 +167,27 @@ def _errors_of_effect(trial: TrialFit, place: int) -> dict[str, float]:
     return {name: error for (i, name), error in trial.errors.items() if i == place}
 
 
-def movable_on_joint(base: LinearizedFit, joint: str | None) -> list[int]:
-    """Indices of the model's effects on a joint that have nonlinear parameters to move."""
-    movable = []
-    for i, entry in enumerate(base.experiment.config.effects):
+def movable_beside(base: LinearizedFit, joint: str | None, movable: Sequence[int]) -> list[int]:
+    """Indices of the effects that may imitate one on a joint: those on the same joint, and those that act on several.
+
+    Parameters
+    ----------
+    base
+        The model.
+    joint
+        The joint; None: the other one acts on several joints.
+    movable
+        Indices of the model's effects whose nonlinear parameters may be moved.
+    """
+    beside = []
+    for i in movable:
+        entry = base.experiment.config.effects[i]
         kind = effect_types()[entry.effect]
-        is_on_joint = joint is not None and entry.joint == joint
-        if is_on_joint and issubclass(kind, JointEffect) and (kind.gradient_parameters() or kind.grid_parameters()):
-            movable.append(i)
-    return movable
+        if joint is not None and entry.joint is not None and entry.joint != joint:
+            continue
+        if kind.gradient_parameters() or (issubclass(kind, JointEffect) and kind.grid_parameters()):
+            beside.append(i)
+    return beside
 
 
 def not_fitted_reason(failure: Exception) -> str:
@@ -159,7 +196,12 @@ def not_fitted_reason(failure: Exception) -> str:
 
 
 def rejection_reason(
-    candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, summary: DataSummary, new_count: int = 1
+    candidate: FittedCandidate,
+    base: LinearizedFit,
+    initial: LinearizedFit,
+    summary: DataSummary,
+    progress: Progress,
+    new_count: int = 1,
 ) -> str:
     """Reason why a fitted candidate is rejected, as a clause; empty if it is accepted.
 
@@ -171,6 +213,8 @@ def rejection_reason(
         The model without it, and the model without any of the effects found.
     summary
         The robot and its data.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
     new_count
         Number of effects that the model has in addition to the base: those at the end of its entries.
     """
@@ -178,9 +222,9 @@ def rejection_reason(
     fit = trial.linearized
     count = len(trial.entries)
     for place in range(count - new_count, count):
-        implausibility = _implausibility(fit, trial.entries[place], summary)
-        if implausibility:
-            return implausibility
+        reason = implausibility(fit, trial.entries[place], summary)
+        if reason:
+            return reason
         if not _is_within_bounds(fit, trial.entries[place]):
             return "reaches its bounds when fitted with the rest of the model"
         parameter = _undetermined_parameter(trial, place)
@@ -192,13 +236,18 @@ def rejection_reason(
         return "reduces the error in some parts of the log and increases it in others"
     if _worsens_held_out_error(candidate, base):
         return "increases the error on the held-out data"
-    min_share = _MIN_SHARE_OF_TORQUE if is_reportable(candidate.probe.effect) else _MIN_SHARE_UNREPORTED
-    if not _exceeds_model_error(fit, base, initial, min_share):
-        return _TOO_SMALL
-    return ""
+    if _exceeds_model_error(fit, base, initial, _MIN_SHARE_OF_TORQUE):
+        return ""
+    if _exceeds_model_error(fit, base, initial, _MIN_SHARE_IF_COMPLETE):
+        joint = candidate.probe.joint
+        if not is_reportable(candidate.probe.effect):
+            return ""
+        if joint is not None and explained_share_above_noise(base, fit, joint, progress) > NEARLY_ALL:
+            return ""
+    return _TOO_SMALL
 
 
-def _implausibility(fit: LinearizedFit, entry: EffectEntry, summary: DataSummary) -> str:
+def implausibility(fit: LinearizedFit, entry: EffectEntry, summary: DataSummary) -> str:
     """Reason why no robot has an effect of the model, a clause; empty if one may have it."""
     values = dict(entry.values)
     effect_and_slice = fit.find_effect(entry)
@@ -313,3 +362,14 @@ def _exceeds_model_error(fit: LinearizedFit, base: LinearizedFit, initial: Linea
     uncertain = _MIN_SAVED_SHARE * initial.sse.sum(axis=0) * np.square(initial.noise)
     negligible = base.row_counts.sum(axis=0) * np.square(min_share * base.rms_torque)
     return bool((saved > np.maximum(uncertain, negligible)).any())
+
+
+def explained_share_above_noise(before: LinearizedFit, after: LinearizedFit, joint: str, progress: Progress) -> float:
+    """Share of a joint's squared residual above its noise that a model explains, and another one does not."""
+    floors = []
+    for fit in (before, after):
+        floors.append(estimate_noise_floor(fit.experiment, fit.theta, progress, fit.reversal_margin))
+    j = after.experiment.equation.joints.index(joint)
+    square_before, square_after = (float(floor.residual[j]) ** 2 for floor in floors)
+    noise_square = min(float(floor.noise[j]) for floor in floors) ** 2
+    return (square_before - square_after) / max(square_before - noise_square, np.finfo(float).tiny)

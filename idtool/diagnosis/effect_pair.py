@@ -8,13 +8,19 @@ residual of the joint has above its noise.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.diagnosis.candidate_fit import movable_on_joint, rejection_reason
+from idtool.diagnosis.candidate_fit import (
+    NEARLY_ALL,
+    explained_share_above_noise,
+    movable_beside,
+    rejection_reason,
+)
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.model_selection import (
     MIN_SIGNIFICANCE,
@@ -26,7 +32,6 @@ from idtool.diagnosis.model_selection import (
     is_reportable,
     is_worthwhile,
 )
-from idtool.diagnosis.noise_floor import estimate_noise_floor
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, has_fixed_inertia
@@ -37,7 +42,6 @@ _STAGE = "trying pairs of effects"
 _MAX_GAUSS_NEWTON_STEPS = 8
 _MAX_FITS = 3  # pairs of a joint that are fitted with the whole model
 _MIN_SCREENED_SHARE = 0.4  # of a joint's squared residual, that a pair must explain to first order to be fitted
-_MIN_SHARE_ABOVE_NOISE = 0.9  # of a joint's squared residual above its noise, that a pair must explain
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,9 @@ class FittedPair:
     trial: TrialFit
 
 
-def find_best_pair(selection: SelectionStep, initial: LinearizedFit, progress: Progress) -> FittedPair | None:
+def find_best_pair(
+    selection: SelectionStep, initial: LinearizedFit, movable: Sequence[int], progress: Progress
+) -> FittedPair | None:
     """Two effects on one joint that explain its residual together, where a round found no single one; None without.
 
     Parameters
@@ -86,13 +92,15 @@ def find_best_pair(selection: SelectionStep, initial: LinearizedFit, progress: P
         The round.
     initial
         The model without any of the effects found.
+    movable
+        Indices of the model's effects whose nonlinear parameters may be moved.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
     for joint in selection.base.experiment.equation.joints:
         for pair in _screen_pairs(selection, joint, progress)[:_MAX_FITS]:
             try:
-                fitted = _fit_pair(pair, selection, initial, progress)
+                fitted = _fit_pair(pair, selection, initial, movable, progress)
             except FAILURES:
                 continue
             if fitted is not None:
@@ -103,7 +111,10 @@ def find_best_pair(selection: SelectionStep, initial: LinearizedFit, progress: P
 def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> list[_ScreenedPair]:
     """Pairs of effects on a joint that explain much of its residual, the largest gain first."""
     base = selection.base
-    own = [one for one in selection.screened if one.probe.joint == joint and is_reportable(one.probe.effect)]
+    screening = selection.screening
+    if screening is None:
+        return []
+    own = [one for one in screening.screened if one.probe.joint == joint and is_reportable(one.probe.effect)]
     singles = list(best_by_key(one for one in own if not one.failure).values())
     largest_gain = max((one.gain for one in singles), default=0.0)
     if largest_gain < MIN_SIGNIFICANCE**2 * selection.inflation:
@@ -111,7 +122,9 @@ def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> l
     choices = list(combinations(singles, 2))
     probes = [joined_probe(first.probe, second.probe) for first, second in choices]
     pairs = []
-    for (first, second), joined in zip(choices, screen_probes(base, probes, progress, _STAGE), strict=True):
+    for (first, second), joined in zip(
+        choices, screen_probes(screening.reference, probes, progress, _STAGE), strict=True
+    ):
         pair = _screened_pair(first, second, joined)
         is_large = explained_share(pair.gain, base, 1) > _MIN_SCREENED_SHARE
         if is_large and all(_is_needed(effect, selection) for effect in pair.effects):
@@ -146,7 +159,11 @@ def _is_needed(effect: ScreenedProbe, selection: SelectionStep) -> bool:
 
 
 def _fit_pair(
-    pair: _ScreenedPair, selection: SelectionStep, initial: LinearizedFit, progress: Progress
+    pair: _ScreenedPair,
+    selection: SelectionStep,
+    initial: LinearizedFit,
+    movable: Sequence[int],
+    progress: Progress,
 ) -> FittedPair | None:
     """Pair fitted with the whole model; None if it is rejected. Raises as `fit_trial`."""
     base = selection.base
@@ -155,15 +172,15 @@ def _fit_pair(
     entries = list(base.experiment.config.effects)
     entries += [effect.entry for effect in pair.effects if effect.entry is not None]
     newest = [len(entries) - 2, len(entries) - 1]
-    moving = [*movable_on_joint(base, joint), *newest]
+    moving = [*movable_beside(base, joint, movable), *newest]
     trial = fit_trial(base, entries, moving, progress, _MAX_GAUSS_NEWTON_STEPS)
 
     gains = block_gains(base, trial.linearized)
     both = FittedCandidate(second, trial, gains)
     summary = summarize_data(base, fixed_inertia=has_fixed_inertia(base.experiment))
-    if rejection_reason(both, base, initial, summary, new_count=2):
+    if rejection_reason(both, base, initial, summary, progress, new_count=2):
         return None
-    if _share_above_noise(base, trial.linearized, joint, progress) < _MIN_SHARE_ABOVE_NOISE:
+    if explained_share_above_noise(base, trial.linearized, joint, progress) < NEARLY_ALL:
         return None
     without_first = pair.gains - first.gains
     without_second = pair.gains - second.gains
@@ -172,14 +189,3 @@ def _fit_pair(
         FittedCandidate(second, trial, gains - without_second),
     )
     return FittedPair(effects, trial)
-
-
-def _share_above_noise(before: LinearizedFit, after: LinearizedFit, joint: str, progress: Progress) -> float:
-    """Share of a joint's squared residual above its noise that a model explains, and another one does not."""
-    floors = []
-    for fit in (before, after):
-        floors.append(estimate_noise_floor(fit.experiment, fit.theta, progress, fit.reversal_margin))
-    j = after.experiment.equation.joints.index(joint)
-    square_before, square_after = (float(floor.residual[j]) ** 2 for floor in floors)
-    noise_square = min(float(floor.noise[j]) for floor in floors) ** 2
-    return (square_before - square_after) / max(square_before - noise_square, np.finfo(float).tiny)

@@ -14,6 +14,7 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.processes import in_processes, interleaved_shares
 from idtool.diagnosis.bursts import find_bursts
 from idtool.diagnosis.candidate_fit import (
+    implausibility,
     imprecise_parameter,
     not_fitted_reason,
     without_insignificant_parameters,
@@ -39,7 +40,8 @@ from idtool.diagnosis.model_selection import (
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN, joints_clearer_away_from_reversals
 from idtool.diagnosis.screen import sum_standard_error
 from idtool.diagnosis.selection_round import Bursts, find_best_effect, fit_assumed_effect
-from idtool.diagnosis.trial import FAILURES, failure_reason, with_effects
+from idtool.diagnosis.summarize_data import summarize_data
+from idtool.diagnosis.trial import FAILURES, failure_reason, has_fixed_inertia, with_effects
 from idtool.diagnosis.unproven import find_unproven
 from idtool.diagnosis.words import removal_sentence, removal_with_reason, replacement_sentence, unproven_sentence
 from idtool.dynamics.effects import effect_types
@@ -274,7 +276,14 @@ class EffectSearch:
         while len(self.reported) < self._max_effects:
             skipped = self._refused | self._superseded
             selection = find_best_effect(
-                self.current, self.initial, self.progress, effects, self._bursts(), min_share, skipped
+                self.current,
+                self.initial,
+                self.progress,
+                effects,
+                self._bursts(),
+                min_share,
+                skipped,
+                self.model.movable,
             )
             self.last_round = selection
             for candidate in selection.failed:
@@ -300,7 +309,7 @@ class EffectSearch:
         selection = self.last_round
         if selection is None or selection.winner is not None or len(self.reported) + 2 > self._max_effects:
             return False
-        pair = find_best_pair(selection, self.initial, self.progress)
+        pair = find_best_pair(selection, self.initial, self.model.movable, self.progress)
         if pair is None:
             return False
         before = self.model.state()
@@ -442,7 +451,9 @@ class EffectSearch:
             return False
         without = self.current
         try:
-            selection = find_best_effect(without, self.initial, self.progress, self._effects, self._bursts(), MIN_SHARE)
+            selection = find_best_effect(
+                without, self.initial, self.progress, self._effects, self._bursts(), movable=self.model.movable
+            )
         except FAILURES:
             return False
         winner = selection.winner
@@ -479,7 +490,7 @@ class EffectSearch:
     def _remove_doubtful(self) -> bool:
         """Remove effects that are not determined or for which the evidence is not enough; False if there are none."""
         before = list(self.added)
-        self._remove_imprecise()
+        self._remove_unfounded()
         self._remove_unproven()
         removed = [effect for effect in before if effect not in self.added]
         for effect in removed:
@@ -487,18 +498,26 @@ class EffectSearch:
                 self._superseded.add(probe_key(effect.selection.winner.probe))
         return bool(removed)
 
-    def _remove_imprecise(self) -> None:
-        """Remove effects whose parameters are no longer precise enough beside those found later."""
+    def _remove_unfounded(self) -> None:
+        """Remove effects that no robot has, or that are not determined, with the parameters of the present model."""
         for effect in self.reported:
-            name = imprecise_parameter(effect.entry, effect.errors)
-            if effect.is_assumed or not name:
+            reason = self._unfounded_reason(effect)
+            if effect.is_assumed or not reason:
                 continue
             failure = self.model.try_drop([effect])
             if failure:
                 continue
-            reason = f"its {name.replace('_', ' ')} is not determined by the data"
             self.removed.append(removal_with_reason(effect.chosen, reason))
             self._keep_as_complete()
+
+    def _unfounded_reason(self, effect: AddedEffect) -> str:
+        """Reason why an effect's parameters in the present model are no explanation, as a clause; empty if they are."""
+        robot = summarize_data(self.initial, fixed_inertia=has_fixed_inertia(self.initial.experiment))
+        reason = implausibility(self.current, effect.entry, robot)
+        if reason:
+            return reason
+        parameter = imprecise_parameter(effect.entry, effect.errors)
+        return f"its {parameter.replace('_', ' ')} is not determined by the data" if parameter else ""
 
     def _remove_unproven(self) -> None:
         """Remove effects for which the evidence is not enough, one after the other."""

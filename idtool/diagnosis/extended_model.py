@@ -106,6 +106,20 @@ class ExtendedModel:
         """Effects that were not added: those of the configuration and the background."""
         return (*self._configured, *self._background)
 
+    @property
+    def movable(self) -> list[int]:
+        """Indices, among the present model's effects, of the added ones whose nonlinear parameters are fitted."""
+        return self._movable_from(len(self.given))
+
+    def _movable_from(self, first: int) -> list[int]:
+        """Indices of the added effects that are fitted, if the first of them has a given index."""
+        margin = self.current.reversal_margin
+        movable = []
+        for i, effect in enumerate(self.added, first):
+            if effect.selection.base.reversal_margin >= margin:  # else the rows that determine it are excluded
+                movable.append(i)
+        return movable
+
     def drop(self, effects: Sequence[AddedEffect]) -> None:
         """Leave out added effects; the fit remains as it is until `try_refit`."""
         self.added = [effect for effect in self.added if effect not in effects]
@@ -216,10 +230,7 @@ class ExtendedModel:
         self.current = linearize_fit(experiment, self._progress, reversal_margin=margin)
         first = len(self._configured)
         first_added = first + len(background)
-        moving = list(range(first, first_added))
-        for i, effect in enumerate(self.added, first_added):
-            if effect.selection.base.reversal_margin >= margin:  # else the rows that determine it are excluded
-                moving.append(i)
+        moving = [*range(first, first_added), *self._movable_from(first_added)]
         errors: Mapping[ParameterKey, float] = {}
         if background or entries:
             trial = fit_trial(self.current, all_entries, moving, self._progress, _MAX_GAUSS_NEWTON_STEPS)

@@ -46,6 +46,30 @@ _MIN_DEFINED_ROWS = 0.1  # of a joint's rows, at which the model's own columns m
 
 
 @dataclass(frozen=True)
+class FurtherDirections:
+    """Directions of a model beside those of its theta: other parameters that are free, to first order.
+
+    Attributes
+    ----------
+    columns
+        Change of the residual with each parameter, in units of the noise, (nv, k, n) for each batch of training data.
+    whitening
+        The directions, of which the data together have unit information, by parameter, shape (k, m).
+    overlap
+        What the model's own directions reproduce of them, shape (r, m).
+    """
+
+    columns: tuple[Array, ...]
+    whitening: Array
+    overlap: Array
+
+    def rows(self, batch_number: int, joint: int, own_rows: Array) -> Array:
+        """Rows of a joint in one batch by these directions, shape (m, n), from those by the model's own, (r, n)."""
+        columns = self.columns[batch_number][joint]
+        return np.asarray(self.whitening.T @ columns - self.overlap.T @ own_rows)
+
+
+@dataclass(frozen=True)
 class LinearizedFit:
     """A fitted model and its residual.
 
@@ -81,6 +105,8 @@ class LinearizedFit:
         Least distance of the rows from reversals, beside the filter's ringing [s].
     row_experiment
         Model whose columns are defined at all rows.
+    further
+        Directions that y has in addition to those of theta; None: none.
     """
 
     experiment: Experiment
@@ -98,6 +124,7 @@ class LinearizedFit:
     block_length: int
     reversal_margin: float
     row_experiment: Experiment
+    further: FurtherDirections | None = None
 
     def find_effect(self, entry: EffectEntry) -> tuple[NamedEffect, slice] | None:
         """Effect of a configuration entry and the range of its coefficients in theta; None if it has none."""

@@ -16,8 +16,8 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.records import Candidate
-from idtool.diagnosis.screen import ScreenedProbe, screen_probes, sum_standard_error
-from idtool.diagnosis.trial import TrialFit
+from idtool.diagnosis.screen import ScreenedProbe, screen_probes, sum_standard_error, with_free_parameters
+from idtool.diagnosis.trial import FAILURES, TrialFit, movable_parameters
 from idtool.dynamics.effects import effect_types, target_name
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
@@ -79,6 +79,8 @@ class Screening:
 
     Attributes
     ----------
+    reference
+        Model that the candidates were compared with, the parameters of its effects being free.
     screened
         All probes, each with its gain.
     failed
@@ -87,6 +89,7 @@ class Screening:
         Number of rows that are worth one independent row.
     """
 
+    reference: LinearizedFit
     screened: Sequence[ScreenedProbe]
     failed: Sequence[Candidate]
     inflation: float
@@ -131,8 +134,8 @@ class SelectionStep:
         Number of rows that are worth one independent row.
     failed
         Those of ``rejected`` that could not be screened or fitted.
-    screened
-        All probes, each with its gain, if there is no winner.
+    screening
+        The screening of all candidates, if there is no winner.
     """
 
     base: LinearizedFit
@@ -142,7 +145,7 @@ class SelectionStep:
     rejected: tuple[Candidate, ...]
     inflation: float
     failed: tuple[Candidate, ...] = ()
-    screened: tuple[ScreenedProbe, ...] = ()
+    screening: Screening | None = None
 
     def alternatives(self) -> tuple[Candidate, ...]:
         """Records of the finalists that compete with the winner, the best first."""
@@ -166,6 +169,20 @@ def probe_target(probe: Probe) -> tuple[str, str]:
 def is_reportable(effect: str) -> bool:
     """True if an effect is an answer of a diagnosis."""
     return effect_types()[effect].reportable
+
+
+def beside_movable(base: LinearizedFit, movable: Sequence[int], progress: Progress) -> LinearizedFit:
+    """Model of which the parameters of some effects, given by their indices, are free to first order, for a screening.
+
+    They were found without the candidates, and may imitate them.
+    """
+    parameters = movable_parameters(base, movable)
+    if parameters is None:
+        return base
+    try:
+        return with_free_parameters(base, parameters, progress)
+    except FAILURES:
+        return base
 
 
 def block_gains(before: LinearizedFit, after: LinearizedFit) -> Array:
@@ -195,6 +212,7 @@ def select_best(
     base: LinearizedFit,
     screening: Screening,
     fits: FullFits,
+    movable: Sequence[int],
     progress: Progress,
     min_share: float = MIN_SHARE,
 ) -> SelectionStep:
@@ -208,6 +226,8 @@ def select_best(
         Result of the screening of all candidates.
     fits
         Result of the fits of the best ones.
+    movable
+        Indices of the model's effects whose nonlinear parameters may be moved.
     progress
         Callback for the stage and its progress, from 0 to 1.
     min_share
@@ -219,11 +239,10 @@ def select_best(
     rejected = _all_rejected(base, screening, fits)
     failed = _reportable([*screening.failed, *fits.failed])
     if not worthwhile:
-        screened = tuple(screening.screened)
-        return SelectionStep(base, None, (), tuple(finalists), rejected, inflation, failed, screened)
+        return SelectionStep(base, None, (), tuple(finalists), rejected, inflation, failed, screening)
 
     winner = _simplest_of_best(worthwhile)
-    rivals = _rivals(finalists, winner, progress)
+    rivals = _rivals(finalists, winner, movable, progress)
     indistinguishable = []
     runners_up = []
     for rival in rivals:
@@ -309,13 +328,16 @@ def _is_indistinguishable(a: FittedCandidate, b: FittedCandidate) -> bool:
     return is_same_residual or (is_near and not _gains_differ(a, b))
 
 
-def _rivals(finalists: Sequence[FittedCandidate], winner: FittedCandidate, progress: Progress) -> list[FittedCandidate]:
+def _rivals(
+    finalists: Sequence[FittedCandidate], winner: FittedCandidate, movable: Sequence[int], progress: Progress
+) -> list[FittedCandidate]:
     """Finalists that explain the same part of the residual as the winner: with it in the model, they gain far less."""
     others = [candidate for candidate in finalists if candidate is not winner and is_reportable(candidate.probe.effect)]
     if not others:
         return []
     probes = [candidate.probe for candidate in others]
-    with_winner = screen_probes(winner.trial.linearized, probes, progress, "comparing candidates")
+    reference = beside_movable(winner.trial.linearized, movable, progress)
+    with_winner = screen_probes(reference, probes, progress, "comparing candidates")
     rivals = []
     for candidate, rescreened in zip(others, with_winner, strict=True):
         if rescreened.gain < _MAX_RIVAL_GAIN_RATIO * candidate.screened.gain:

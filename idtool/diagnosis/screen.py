@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ from idtool.common.arrays import Array, Indices
 from idtool.common.processes import in_processes, interleaved_shares
 from idtool.data.column_cache import KeptColumns
 from idtool.data.signals import Batch
-from idtool.diagnosis.linearized_fit import LinearizedFit
+from idtool.diagnosis.linearized_fit import FurtherDirections, LinearizedFit
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Progress, tracked
@@ -164,6 +164,51 @@ def screen_probes(
     return [screened[i] for i in range(len(probes))]
 
 
+def with_free_parameters(linearized: LinearizedFit, probe: Probe, progress: Progress) -> LinearizedFit:
+    """Fit of which further parameters are free, to first order; their derivatives are the columns of a probe.
+
+    Screened with it, a candidate gains what it explains beside the best values of these parameters.
+    """
+    k = probe.coefficient_count
+    F, r = linearized.block_count, len(linearized.information)
+    P, h, CC = np.zeros((F, r, k)), np.zeros((F, k)), np.zeros((F, k, k))
+    batch_columns = []
+    starts = _coefficient_starts([probe])
+    for batch, model, block_index, number in _training_batches(linearized, progress, "screening candidates"):
+        Q, e, valid = _model_rows(linearized, batch, number)
+        columns = np.zeros((len(Q), k, len(batch.t)))
+        for joint, index, filtered in _probe_columns([probe], starts, batch, model):
+            columns[joint, index] = filtered * (valid[joint] / linearized.noise[joint])
+        batch_columns.append(columns)
+        for f, part in _block_slices(block_index):
+            for own_rows, residual, x in zip(Q, e, columns[:, :, part], strict=True):
+                P[f] += own_rows[:, part] @ x.T
+                h[f] += x @ residual[part]
+                CC[f] += x @ x.T
+
+    # whitened, and without what the model's own directions reproduce
+    total_P = P.sum(axis=0)
+    X = np.linalg.solve(linearized.information, total_P)
+    information = CC.sum(axis=0) - total_P.T @ X
+    size = np.sqrt(np.maximum(CC.sum(axis=0).diagonal(), _ROUNDING))
+    values, vectors = np.linalg.eigh(information / size[:, None] / size)
+    is_new = values > _MIN_NEW_SHARE
+    W = vectors[:, is_new] / size[:, None] / np.sqrt(values[is_new])
+    XW = X @ W
+
+    gram = linearized.gram
+    cross = P @ W - gram @ XW
+    own = W.T @ CC @ W - np.swapaxes(P @ W, 1, 2) @ XW - XW.T @ (P @ W) + XW.T @ gram @ XW
+    H = linearized.prior_information
+    return replace(
+        linearized,
+        gram=np.block([[gram, cross], [np.swapaxes(cross, 1, 2), own]]),
+        score=np.concatenate([linearized.score, h @ W - linearized.score @ XW], axis=1),
+        prior_information=np.block([[H, -H @ XW], [-XW.T @ H, XW.T @ H @ XW]]),
+        further=FurtherDirections(tuple(batch_columns), W, XW),
+    )
+
+
 def _solve_group(linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str) -> list[_Solution]:
     """Solve probes together; where that fails, halves of them, until the failing ones are found."""
     try:
@@ -186,7 +231,7 @@ def _failed(linearized: LinearizedFit, probe: Probe, failure: Exception) -> _Sol
 
 def _groups_in_memory(linearized: LinearizedFit, probes: Sequence[Probe]) -> Iterator[list[Probe]]:
     """Probes in groups whose sums fit into memory."""
-    numbers_per_coefficient = linearized.block_count * linearized.directions.shape[1]
+    numbers_per_coefficient = linearized.block_count * len(linearized.information)
     group: list[Probe] = []
     numbers = 0
     for probe in probes:
@@ -209,10 +254,10 @@ def _accumulate(linearized: LinearizedFit, probes: Sequence[Probe], progress: Pr
     """Gram matrices of the probes over the training data."""
     starts = _coefficient_starts(probes)
     max_k = max(probe.coefficient_count for probe in probes)
-    F, r, K = linearized.block_count, linearized.directions.shape[1], int(starts[-1])
+    F, r, K = linearized.block_count, len(linearized.information), int(starts[-1])
     sums = _ProbeSums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, max_k)))
-    for batch, model, block_index in _training_batches(linearized, progress, stage):
-        Q, e, valid = _model_rows(linearized, batch)
+    for batch, model, block_index, number in _training_batches(linearized, progress, stage):
+        Q, e, valid = _model_rows(linearized, batch, number)
         blocks = _block_slices(block_index)
         for joint, index, filtered in _probe_columns(probes, starts, batch, model):
             columns = filtered * (valid[joint] / linearized.noise[joint])
@@ -257,9 +302,10 @@ def _rows_by_probe(starts: Indices, index: Indices) -> list[Indices]:
 
 def _training_batches(
     linearized: LinearizedFit, progress: Progress, stage: str
-) -> Iterator[tuple[Batch, LinearizedModel, Indices]]:
-    """Batches of the training data, the model along each, and the block of each filtered sample."""
+) -> Iterator[tuple[Batch, LinearizedModel, Indices, int]]:
+    """Batches of the training data, the model along each, the block of each filtered sample, and the batch's number."""
     first_block = 0
+    number = 0
     for run in linearized.experiment.runs:
         if not run.train:
             continue
@@ -267,19 +313,23 @@ def _training_batches(
         for batch in tracked(linearized.experiment.batches(run, held_out=False), run.train, progress, stage):
             model = LinearizedModel(linearized.experiment.equation, linearized.theta, batch.motion)
             rows = row + np.arange(len(batch.t))
-            yield batch, model, first_block + rows // linearized.block_length
+            yield batch, model, first_block + rows // linearized.block_length, number
             row += len(batch.t)
+            number += 1
         first_block += -(-row // linearized.block_length)
 
 
-def _model_rows(linearized: LinearizedFit, batch: Batch) -> tuple[list[Array], list[Array], list[Array]]:
+def _model_rows(linearized: LinearizedFit, batch: Batch, number: int) -> tuple[list[Array], list[Array], list[Array]]:
     """By joint: the model's rows by y, (r, n), the residual, (n,), and 1 for each sample that counts, (n,)."""
     equation = linearized.experiment.equation
     masks = linearized.row_equation.clean_samples(batch, linearized.reversal_margin)
     Q, e, valid = [], [], []
     for j, (active, block) in enumerate(zip(equation.active(), equation.filtered_columns(batch), strict=True)):
         weight = masks[j] / linearized.noise[j]
-        Q.append(linearized.directions[active].T @ (block[:-1] * weight))
+        own_rows = linearized.directions[active].T @ (block[:-1] * weight)
+        if linearized.further is not None:
+            own_rows = np.concatenate([own_rows, linearized.further.rows(number, j, own_rows)])
+        Q.append(own_rows)
         e.append((block[-1] - linearized.theta[active] @ block[:-1]) * weight)
         valid.append(masks[j].astype(float))
     return Q, e, valid

@@ -28,6 +28,7 @@ from idtool.diagnosis.model_selection import (
     ProbeKey,
     Screening,
     SelectionStep,
+    beside_movable,
     best_by_key,
     probe_key,
     screened_record,
@@ -64,6 +65,7 @@ def find_best_effect(
     bursts: Bursts = (),
     min_share: float = MIN_SHARE,
     skipped: Container[ProbeKey] = (),
+    movable: Sequence[int] = (),
 ) -> SelectionStep:
     """Search for the effect that explains most of a model's residual: one round.
 
@@ -83,16 +85,19 @@ def find_best_effect(
         Share of a joint's squared residual that an effect must explain.
     skipped
         Keys of candidates that are not tried.
+    movable
+        Indices of the model's effects whose nonlinear parameters may be moved.
     """
     summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
-    screening = _screen_all(base, summary, effects, skipped, progress)
-    candidates = _refine(base, screening.screened, progress)
-    fits = _fit_best_candidates(base, initial, candidates, summary, screening.inflation, progress)
-    return select_best(base, screening, fits, progress, min_share)
+    reference = beside_movable(base, movable, progress)
+    screening = _screen_all(reference, summary, effects, skipped, progress)
+    candidates = _refine(reference, screening.screened, progress)
+    fits = _fit_best_candidates(base, initial, candidates, summary, screening.inflation, movable, progress)
+    return select_best(base, screening, fits, movable, progress, min_share)
 
 
 def _screen_all(
-    base: LinearizedFit,
+    reference: LinearizedFit,
     summary: DataSummary,
     effects: Sequence[str] | None,
     skipped: Container[ProbeKey],
@@ -101,19 +106,19 @@ def _screen_all(
     """All candidates but the skipped ones, screened on the effects' own grids of nonlinear values."""
     candidates, not_built = _candidate_probes(summary, effects)
     probes = [probe for probe in candidates if probe_key(probe) not in skipped]
-    screened = screen_probes(base, probes, progress)
-    failed = [*not_built, *_screening_failures(base, screened)]
-    return Screening(screened, failed, _row_inflation(base, screened))
+    screened = screen_probes(reference, probes, progress)
+    failed = [*not_built, *_screening_failures(reference, screened)]
+    return Screening(reference, screened, failed, _row_inflation(reference, screened))
 
 
-def _refine(base: LinearizedFit, screened: Sequence[ScreenedProbe], progress: Progress) -> list[ScreenedProbe]:
+def _refine(reference: LinearizedFit, screened: Sequence[ScreenedProbe], progress: Progress) -> list[ScreenedProbe]:
     """Best probe of each promising candidate, the largest gain first; the best candidates on a finer grid."""
     promising = _promising(screened)
     refined: list[ScreenedProbe] = []
     for _ in range(_REFINEMENTS):
         starts = [start for start in _refinement_starts(promising) if start not in refined]
         finer_probes = list(_refined_probes(starts, screened))
-        promising += _promising(screen_probes(base, finer_probes, progress, "fitting candidates"))
+        promising += _promising(screen_probes(reference, finer_probes, progress, "fitting candidates"))
         refined += starts
     return _by_gain(best_by_key(promising).values())
 
@@ -144,6 +149,7 @@ def _fit_best_candidates(
     candidates: Sequence[ScreenedProbe],
     summary: DataSummary,
     inflation: float,
+    movable: Sequence[int],
     progress: Progress,
 ) -> FullFits:
     """Candidates fitted with the whole model, until their gain is due to chance or far below that of an accepted one.
@@ -158,6 +164,8 @@ def _fit_best_candidates(
         The robot and its data.
     inflation
         Number of rows that are worth one independent row.
+    movable
+        Indices of the model's effects whose nonlinear parameters may be moved.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
@@ -167,7 +175,7 @@ def _fit_best_candidates(
 
     def fit_and_judge_one(candidate: ScreenedProbe, progress: Progress) -> _Judged | Exception:
         try:
-            fitted, rejection_reason = fit_and_judge(candidate, base, initial, summary, progress)
+            fitted, rejection_reason = fit_and_judge(candidate, base, initial, summary, movable, progress)
         except FAILURES as failure:
             return failure
         return _Judged(trial_to_bytes(fitted.trial), fitted.gains, rejection_reason)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -212,6 +213,31 @@ def _parameter_ranges(
             if parameter.optional_maximum is not None:
                 ranges[i, parameter.name] = (0.0, parameter.optional_maximum)
     return ranges
+
+
+def movable_parameters(current: LinearizedFit, moving: Sequence[int]) -> Probe | None:
+    """Probe whose columns are the derivatives of the torque by all that some effects' fit moves; None: nothing.
+
+    Parameters
+    ----------
+    current
+        The fit.
+    moving
+        Indices of the effects.
+    """
+    entries = current.experiment.config.effects
+    probes = []
+    others = []
+    for i in moving:
+        linear = effect_types()[entries[i].effect].coefficients_of(entries[i], current.experiment.model)
+        if linear is None:
+            others.append(i)
+        else:
+            probes.append(linear[0])
+    keys = _gradient_keys(entries, others)
+    if keys:
+        probes.append(_parameter_probe(current, keys, _parameter_ranges(current, entries, others)))
+    return reduce(joined_probe, probes) if probes else None
 
 
 def _gradient_keys(entries: Sequence[EffectEntry], moving: Sequence[int]) -> list[ParameterKey]:

@@ -97,9 +97,9 @@ def test_what_was_found_beside_the_same_effects_is_not_searched_for_again(
     searched = []
     inner = effect_search.find_best_effect
 
-    def find_best_effect(base: LinearizedFit, *others: Any) -> Any:
+    def find_best_effect(base: LinearizedFit, *others: Any, **options: Any) -> Any:
         searched.append([(entry.effect, entry.joint) for entry in base.experiment.config.effects if entry.joint])
-        return inner(base, *others)
+        return inner(base, *others, **options)
 
     monkeypatch.setattr(effect_search, "find_best_effect", find_best_effect)
     search._replace_effects()
@@ -142,10 +142,10 @@ def test_a_play_is_fitted_anew_with_what_changes_the_torque_on_its_teeth(
         return inner(before, entries, moving, *others, **options)
 
     monkeypatch.setattr(candidate_fit, "fit_trial", fit_trial)
-    monkeypatch.setattr(candidate_fit, "_rejection_reason", lambda *arguments: "as this test wants it")
+    monkeypatch.setattr(candidate_fit, "rejection_reason", lambda *arguments, **options: "as this test wants it")
     monkeypatch.setattr(processes, "process_count", lambda: 1)
     monkeypatch.setattr(selection_round, "process_count", lambda: 1)
-    selection = selection_round.find_best_effect(base, base, silent, ("parallel_spring",))
+    selection = selection_round.find_best_effect(base, base, silent, ("parallel_spring",), movable=(0,))
     assert {candidate.reason for candidate in selection.rejected} >= {"as this test wants it"}
     assert moved == [[1], [0, 1]]
 
@@ -343,7 +343,7 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
 
     The model has no coefficients but theirs.
     """
-    monkeypatch.setattr(candidate_fit, "_rejection_reason", lambda *arguments: "")
+    monkeypatch.setattr(candidate_fit, "rejection_reason", lambda *arguments, **options: "")
     changing = torque_on_joint(0, lambda t, q, v, tau: np.where(t < 0.69 * t[-1], 0.5, -0.5))
     experiment = with_fixed_inertia(experiment_of(tmp_path, together(changing, offset)))
     search = search_with(experiment, [("torque_offset", "j1"), OFFSET])
