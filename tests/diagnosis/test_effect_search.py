@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from disturbed import Hidden, experiment_of, silent, torque_on_joint
+from disturbed import Hidden, experiment_of, motion, silent, torque_on_joint
 
 from idtool.common import processes
 from idtool.common.exceptions import SolverError
@@ -47,6 +47,11 @@ def search_with(experiment: Experiment, assumed: Sequence[Owner], effects: Seque
     for effect, joint in assumed:
         search.assume(effect, joint)
     return search
+
+
+def rejected(candidate: Any, base: Any, initial: Any, summary: Any, movable: Any, progress: Any) -> Any:
+    """A candidate's fit, and a reason why it is rejected."""
+    return candidate_fit.fit_candidate(base, candidate, progress), "as this test wants it"
 
 
 def owners(search: EffectSearch) -> list[Owner]:
@@ -208,6 +213,57 @@ def test_what_is_no_longer_determined_in_the_end_is_removed(tmp_path: Path, erro
     assert len(owners(search)) == len(entries_in_model(search)) == left
     sentence = "End stop on j1 was removed again: its position is not determined by the data"
     assert search.removed == [sentence][left:]
+
+
+def test_what_no_robot_has_in_the_end_is_removed(tmp_path: Path) -> None:
+    """A spring whose rest a later fit has moved 280 rad away."""
+    search = search_with(experiment_of(tmp_path, spring, rows=slice(8000)), [SPRING])
+    (effect,) = search.added
+    effect.is_assumed = False
+    assert not search._remove_doubtful()
+    effect.entry = effect.entry.model_copy(update={"parameters": {**effect.entry.parameters, "rest_position": 280.0}})
+    assert search._remove_doubtful()
+    assert owners(search) == entries_in_model(search) == []
+    (sentence,) = search.removed
+    assert sentence.startswith("Parallel spring on j1 was removed again: its torque hardly varies over the travel")
+
+
+def test_two_effects_that_a_round_rejects_are_found_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dry friction and drag; a round rejects both, as this test wants it."""
+    drag = torque_on_joint(0, lambda t, q, v, tau: 0.3 * v * np.abs(v))
+    experiment = experiment_of(tmp_path, together(dry_friction, drag), rows=slice(8000))
+    monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
+    effects = ("coulomb_friction", "quadratic_drag", "parallel_spring", "torque_offset")
+    search = EffectSearch(experiment, effects, 4, silent)
+    search.run()
+    assert sorted(owners(search)) == [("coulomb_friction", "j1"), ("quadratic_drag", "j1")]
+    for effect in search.added:
+        assert effect.chosen.score > 0
+        assert all(one.effect != effect.chosen.effect or one.target != "j1" for one in effect.selection.rejected)
+
+
+@pytest.mark.parametrize("max_effects", [4, 1])
+def test_two_effects_that_leave_more_than_noise_are_not_added(tmp_path: Path, max_effects: int) -> None:
+    """Torque that no effect has, of which a pair would explain a part."""
+    strange = torque_on_joint(0, lambda t, q, v, tau: np.sign(v) * np.sin(9 * q) + 0.2 * v * np.abs(v))
+    experiment = experiment_of(tmp_path, strange, rows=slice(8000))
+    effects = ("coulomb_friction", "quadratic_drag", "parallel_spring", "end_stop")
+    search = EffectSearch(experiment, effects, max_effects, silent)
+    search._add_effects()
+    before = owners(search)
+    assert not search._add_pair()
+    assert owners(search) == before
+
+
+def test_a_small_effect_is_found_if_nothing_but_noise_is_left(tmp_path: Path) -> None:
+    """An offset of four thousandths of the rms torque."""
+    _, _, _, tau = motion()
+    small = 4e-3 * np.sqrt(np.mean(np.square(tau[0])))
+    offset_alone = torque_on_joint(0, lambda t, q, v, tau: small + 0 * t)
+    experiment = with_fixed_inertia(experiment_of(tmp_path, offset_alone))
+    search = EffectSearch(experiment, ("torque_offset",), 4, silent)
+    search.run()
+    assert owners(search) == [("torque_offset", "j1")]
 
 
 @pytest.mark.parametrize(("errors", "is_left_out"), [((1.0, 0.9), True), ((1.0, 1.1), False)])

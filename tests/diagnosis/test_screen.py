@@ -21,12 +21,12 @@ from idtool.diagnosis import screen
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import probe_target
 from idtool.diagnosis.records import Candidate
-from idtool.diagnosis.screen import ScreenedProbe, screen_probes
+from idtool.diagnosis.screen import ScreenedProbe, screen_probes, with_free_parameters
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import with_effects
 from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
 from idtool.dynamics.effects.linearization import Linearization
-from idtool.dynamics.effects.probe import Probe, ProbeColumns
+from idtool.dynamics.effects.probe import Probe, ProbeColumns, joined_probe
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset import batch_cache
 from idtool.estimation.dataset.batch_cache import BatchCache
@@ -341,3 +341,27 @@ def columns_along(effect: NamedEffect, motion: Motion) -> list[Array]:
     out = [np.zeros((len(active), len(motion.t))) for active in effect.active]
     effect.columns(motion, out)
     return out
+
+
+def test_beside_free_parameters_a_probe_has_the_information_that_it_has_beside_their_columns(
+    base: LinearizedFit,
+) -> None:
+    probe = made(bump)
+    (beside,) = screen_probes(with_free_parameters(base, made(waves, 4), silent), [probe], silent)
+    (joined,) = screen_probes(base, [joined_probe(probe, made(waves, 4))], silent)
+    np.testing.assert_allclose(beside.information, joined.marginal_information(slice(0, 1)), rtol=1e-9)
+
+
+def test_parameters_that_the_model_has_are_free_already(base: LinearizedFit) -> None:
+    """The third joint's damping, beside which nothing changes."""
+    damping = made(lambda motion, present: {2: motion.v[2][None]})
+    (found,) = screen_probes(with_free_parameters(base, damping, silent), [made(bump)], silent)
+    (expected,) = screen_probes(base, [made(bump)], silent)
+    assert_same(found, expected)
+
+
+def test_a_candidate_that_free_parameters_imitate_explains_nothing(base: LinearizedFit) -> None:
+    spring = of(base, "parallel_spring", 1)
+    (alone,) = screen_probes(base, [spring], silent)
+    (beside_itself,) = screen_probes(with_free_parameters(base, spring, silent), [spring], silent)
+    assert abs(beside_itself.gain) < 1e-6 * alone.gain
