@@ -77,6 +77,16 @@ LIMITS: dict[str, list[tuple[dict[str, Any], str, float, bool, str, str]]] = {
             "a spring whose torque hardly varies over the joint's travel",
         )
     ],
+    "torque_ripple": [
+        (
+            {},
+            "periods",
+            2 * np.pi / TRAVEL,
+            False,
+            "it may be a spring, a stop or an offset",
+            "a torque ripple with less than one period in the joint's travel",
+        )
+    ],
     "payload": [
         (
             {},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from typing_extensions import override
@@ -82,6 +82,16 @@ class TorqueRipple(JointTerms):
         count = int(min((fastest - _FEWEST / turns) * turns / _SPACING, _MAX_TRIALS))
         for k in range(max(count, 0)):
             yield {"periods": float((_FEWEST + _SPACING * k) / turns)}
+
+    @classmethod
+    @override
+    def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
+        """A part of one period, which is as well a spring, a stop or an offset."""
+        turns = float(summary.q_range[summary.model.names.index(str(joint))] / (2 * np.pi))
+        periods_in_travel = float(values["periods"]) * turns
+        if periods_in_travel >= 1:
+            return ""
+        return f"the travel covers only {periods_in_travel:.2g} of its periods: it may be a spring, a stop or an offset"
 
     @classmethod
     @override
