@@ -19,6 +19,7 @@ from idtool.diagnosis.comparison import _pair_notices
 
 DELAY = 0.004  # s
 EFFECTS = ("--effects", "rotor_inertia,time_delay,payload", "--no-simulation")
+MORE_EFFECTS = ("--effects", "viscous_friction,coulomb_friction,rotor_inertia,time_delay,payload,quadratic_drag")
 CHANGED = {
     ("viscous_friction", "yaw"): ("viscous", 0.5, 0.9),
     ("coulomb_friction", "shoulder"): ("coulomb", 0.1, 0.8),
@@ -33,7 +34,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the logs of robot and simulator, and the diagnosis in ``out``."""
     folder = tmp_path_factory.mktemp("pair")
     write_pair(folder)
-    diagnosed(folder, "robot/run1.csv", "--against", "simulator", "--out", "out")
+    diagnosed(folder, "robot/run1.csv", "--against", "simulator", "--out", "out", *MORE_EFFECTS)
     return folder
 
 
@@ -144,6 +145,12 @@ def test_a_urdf_is_patched_with_what_it_can_carry(pair: Path) -> None:
     text = (pair / "new.urdf").read_text()
     assert text.count("<dynamics") == 2
     assert re.sub(r"\s*<dynamics [^>]*/>", "", text) == URDF
+
+
+@pytest.mark.slow
+def test_among_all_effects_the_changes_are_the_same(pair: Path, report: dict[str, Any]) -> None:
+    found = diagnosed(pair, "robot/run1.csv", "--against", "simulator", "--out", "all", "--no-simulation")["against"]
+    assert set(by_owner(found["changes"])) == set(by_owner(report["against"]["changes"]))
 
 
 @pytest.mark.slow
