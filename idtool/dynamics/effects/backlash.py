@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -226,10 +226,10 @@ class _RelativeMotion:
         self._damping_divisor = (1 + link_viscosity / inertia * self.dt).tolist()
         self._max_friction_velocity_change = ((1 - motor_friction) * dry_friction_level / inertia * self.dt).tolist()
         self._motor_velocity = velocity.tolist()
-        self._paths: dict[int, tuple[Array, float]] = {}  # by sample: displacements since, and the last velocity
+        self._paths: dict[int, _Path] = {}  # by the sample at which the teeth part
 
-    def displacement_until_contact(self, separation: int, side: int, width: float) -> Array:
-        """Displacement of the motor relative to the link from separation to contact, shape (n,) [rad or m].
+    def displacement_until_contact(self, separation: int, side: int, width: float) -> list[float]:
+        """Displacement of the motor relative to the link from separation to contact [rad or m].
 
         Without contact, to the last sample. The width only says where a path ends: plays of all widths share it.
 
@@ -242,33 +242,61 @@ class _RelativeMotion:
         width
             Width of the play [rad or m].
         """
-        path, velocity = self._paths.get(separation, (np.empty(0), 0.0))
+        path = self._paths.get(separation)
+        if path is None:
+            path = self._paths[separation] = _Path([], [], 0.0, is_complete=False)
         while True:
-            inward = -side * path
-            have_met = np.flatnonzero((inward <= 0) | (inward >= width))
-            if len(have_met):
-                return path[: have_met[0] + 1]
-            first = separation + len(path)
-            if first >= self.sample_count:
-                return path
-            last = min(first + max(len(path), _MIN_STEPS), self.sample_count)
-            path, velocity = self._extended(path, velocity, range(first, last))
-            self._paths[separation] = path, velocity
+            contact = bisect_left(path.largest_depths, width)
+            if contact < len(path.largest_depths):
+                return path.displacements[: contact + 1]
+            if path.is_complete:
+                return path.displacements
+            self._continue(path, separation, side)
 
-    def _extended(self, path: Array, velocity: float, samples: range) -> tuple[Array, float]:
-        """Path over further samples, and its last relative velocity."""
-        dt = self.dt
-        displacement = float(path[-1]) if len(path) else 0.0
-        displacements = []
-        for k in samples:
+    def _continue(self, path: _Path, separation: int, side: int) -> None:
+        """Continue a path to about twice its length, at most to where the teeth meet where they parted."""
+        displacement = path.displacements[-1] if path.displacements else 0.0
+        depth = path.largest_depths[-1] if path.largest_depths else 0.0
+        velocity = path.velocity
+        first = separation + len(path.displacements)
+        last = min(first + max(len(path.displacements), _MIN_STEPS), self.sample_count)
+        for k in range(first, last):
             damped_velocity = (velocity + self._velocity_change[k]) / self._damping_divisor[k]
             # Dry friction slows the link down, at most to rest.
             link_velocity = self._motor_velocity[k] - damped_velocity
             max_change = self._max_friction_velocity_change[k]
             velocity = damped_velocity + min(max(link_velocity, -max_change), max_change)
-            displacement += velocity * dt
-            displacements.append(displacement)
-        return np.concatenate([path, displacements]), velocity
+            displacement += velocity * self.dt
+            depth = max(depth, -side * displacement)
+            path.displacements.append(displacement)
+            path.largest_depths.append(depth)
+            if -side * displacement <= 0:
+                path.is_complete = True
+                return
+        path.velocity = velocity
+        path.is_complete = last == self.sample_count
+
+
+@dataclass
+class _Path:
+    """Motion of a motor relative to its link from where the teeth part.
+
+    Attributes
+    ----------
+    displacements
+        Displacement at each sample [rad or m].
+    largest_depths
+        Largest displacement into the play so far, ascending [rad or m].
+    velocity
+        Relative velocity at the last sample [rad/s or m/s].
+    is_complete
+        True if the teeth meet again on the same side at the last sample, or the data end there.
+    """
+
+    displacements: list[float]
+    largest_depths: list[float]
+    velocity: float
+    is_complete: bool
 
 
 _latest_relative_motions: WeakKeyDictionary[Linearization, tuple[int, float, _RelativeMotion]] = WeakKeyDictionary()
@@ -309,6 +337,7 @@ def _simulate_play(relative: _RelativeMotion, width: float) -> Array:
             break
         path = relative.displacement_until_contact(separation, side, width)
         k = separation + len(path)
-        positions[separation:k] = np.clip(contact + path, -width / 2, width / 2)
-        side = 1 if positions[k - 1] > 0 else -1
-    return positions
+        positions[separation:k] = path
+        positions[separation:k] += contact
+        side = 1 if contact + path[-1] > 0 else -1
+    return np.clip(positions, -width / 2, width / 2)
