@@ -17,6 +17,7 @@ from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.entry_parameters import entry_location, read_number, read_vector
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.link_effect import LinkEffect
+from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Frame
@@ -34,6 +35,7 @@ from idtool.robot.inertia import (
 from idtool.robot.inverse_dynamics import inverse_dynamics
 from idtool.robot.model import RobotModel
 
+_MAX_MASS_ERROR = 0.25  # of the mass: a standard error with which it is still named
 _ROUNDING = 1e-9  # of the inertia's size
 _MIN_INFORMATION = 1e-9  # of the largest eigenvalue, that every other is taken to have at least
 _START_INERTIA = 1e-3  # m²: inertia over mass at the start of a search
@@ -64,6 +66,9 @@ class Payload(LinkEffect):
     excitation_hint = "quick and slow motion in many postures"
     cause = "position"
     parameter_names = ("mass", "com", "inertia")
+    nonlinear_parameters = (
+        NonlinearParameter("mass", ("kg", "kg"), positive=True, max_relative_error=_MAX_MASS_ERROR),
+    )
 
     def __init__(self, model: RobotModel, link: str, frame: Frame, pi: Array) -> None:
         super().__init__(model, link, frame)
