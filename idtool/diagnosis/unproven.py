@@ -22,7 +22,8 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import EffectEntry
 
 _MIN_SHARE_OF_LARGEST = 0.1  # of what the largest effect explains, that needs no further evidence
-_MIN_EXPLAINED = 0.7  # of its joints' residual above the noise floor, that a smaller effect must explain
+_MIN_EXPLAINED = 0.7  # of its joint's residual above the noise floor, that a smaller effect must explain
+_MIN_EXPLAINED_ON_ITS_JOINT = 0.5  # likewise, by one that is not small beside the largest on its joint
 _MIN_EXPLAINED_IF_VARYING = 0.5  # likewise, by an effect whose size differs between parts of the data
 
 
@@ -69,11 +70,15 @@ def find_unproven(
         explained.append(reduced.mean_squared_residual - complete.mean_squared_residual)
     totals = np.sum(explained, axis=1)
 
-    largest = int(np.argmax(totals))
+    largest_total = max(totals)
+    largest_on_joint = np.max(explained, axis=0)
     for k in np.argsort(totals).tolist():
-        share = _explained_share(explained[k], above_floor, np.square(floor.noise))
-        is_small = k != largest and totals[k] < _MIN_SHARE_OF_LARGEST * totals[largest]
-        if is_small and share < _MIN_EXPLAINED:
+        j = _clearest_joint(explained[k], np.square(floor.noise))
+        share = _explained_share(float(explained[k][j]), float(above_floor[j]))
+        is_small = totals[k] < _MIN_SHARE_OF_LARGEST * largest_total
+        is_small_on_joint = explained[k][j] < _MIN_SHARE_OF_LARGEST * largest_on_joint[j]
+        min_share = _MIN_EXPLAINED if is_small_on_joint else _MIN_EXPLAINED_ON_ITS_JOINT
+        if is_small and share < min_share:
             return UnprovenEffect(k, "it explains less than a tenth of what another effect does")
         if share < _MIN_EXPLAINED_IF_VARYING:
             (sizes,) = estimate_on_parts(current, [entries[k]], progress)
@@ -83,17 +88,27 @@ def find_unproven(
     return None
 
 
-def _explained_share(explained: Array, above_floor: Array, noise: Array) -> float:
-    """Share of the residual above the noise floor that an effect explains, on the joint where it shows most clearly.
+def _clearest_joint(explained: Array, noise: Array) -> int:
+    """Index of the joint on which an effect shows most clearly.
 
     Parameters
     ----------
     explained
         Mean square that it explains of each joint's residual, shape (nv,).
-    above_floor
-        Mean square that remains above the noise floor with it, at the rows where it is defined, shape (nv,).
     noise
         Mean square of each joint's noise, shape (nv,).
     """
-    j = int(np.argmax(explained / np.maximum(noise, np.finfo(float).tiny)))
-    return float(explained[j] / max(explained[j] + above_floor[j], np.finfo(float).tiny))
+    return int(np.argmax(explained / np.maximum(noise, np.finfo(float).tiny)))
+
+
+def _explained_share(explained: float, above_floor: float) -> float:
+    """Share of a joint's residual above the noise floor that an effect explains.
+
+    Parameters
+    ----------
+    explained
+        Mean square that it explains.
+    above_floor
+        Mean square that remains above the noise floor with it, at the rows where it is defined.
+    """
+    return explained / max(explained + above_floor, np.finfo(float).tiny)

@@ -17,8 +17,8 @@ from idtool.diagnosis.doubts import doubt_about
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import Diagnosis, PartEstimate
-from idtool.diagnosis.trial import with_effects
-from idtool.diagnosis.unproven import _explained_share, find_unproven
+from idtool.diagnosis.trial import with_effects, with_fixed_inertia
+from idtool.diagnosis.unproven import _clearest_joint, find_unproven
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
 
@@ -98,8 +98,25 @@ def test_a_small_effect_must_bring_its_joint_to_the_noise_floor(
 
 def test_what_a_small_effect_explains_counts_in_units_of_each_joints_noise() -> None:
     """On a joint with much noise, it may explain more torque, and yet next to nothing of what is there."""
-    explained, above_floor, noise = np.array([0.010, 0.004]), np.array([0.05, 0.0001]), np.array([0.3, 0.001])
-    assert _explained_share(explained, above_floor, noise) == pytest.approx(0.004 / 0.0041)
+    explained, noise = np.array([0.010, 0.004]), np.array([0.3, 0.001])
+    assert _clearest_joint(explained, noise) == 1
+
+
+@pytest.mark.parametrize(("rest", "unproven"), [(0.09, None), (0.14, 1)])
+def test_the_only_effect_on_a_joint_must_explain_half_of_what_the_joint_has(
+    tmp_path: Path, rest: float, unproven: int | None
+) -> None:
+    """A drag beside a larger spring on another joint, and a vibration that nothing explains on its own."""
+
+    def hidden(t: Any, q: Any, v: Any, tau: Any) -> Any:
+        second = torque_on_joint(1, lambda t, q, v, tau: 0.012 * v * np.abs(v) + rest * np.sin(31 * t))
+        return 0.5 * spring(t, q, v, tau) + second(t, q, v, tau)
+
+    experiment = with_fixed_inertia(experiment_of(tmp_path, hidden))
+    current = fitted(experiment, SPRING, DRAG)
+    without = [linearize_fit(with_effects(experiment, [one]), silent, current) for one in (DRAG, SPRING)]
+    found = find_unproven(current, [SPRING, DRAG], without, silent)
+    assert (found.index if found else None) == unproven
 
 
 @pytest.mark.parametrize(("later", "unproven"), [(1.0, False), (0.3, True)])
