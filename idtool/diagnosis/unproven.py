@@ -1,5 +1,6 @@
 """Effects without enough evidence: their joints stay above the noise floor with them, and more speaks against them.
 
+- They explain little of what their joint has.
 - They are small beside another one. A large effect whose model is only nearly right, such as that of an elastic joint,
   leaves a residual in proportion to itself. Some other effect always imitates a part of that, while one that is truly
   there explains all that is left.
@@ -24,6 +25,7 @@ from idtool.robot.config import EffectEntry
 _MIN_SHARE_OF_LARGEST = 0.1  # of what the largest effect explains, that needs no further evidence
 _MIN_EXPLAINED = 0.7  # of its joint's residual above the noise floor, that a smaller effect must explain
 _MIN_EXPLAINED_ON_ITS_JOINT = 0.5  # likewise, by one that is not small beside the largest on its joint
+_MIN_EXPLAINED_BY_ANY = 0.2  # likewise, by every effect
 _MIN_EXPLAINED_IF_VARYING = 0.5  # likewise, by an effect whose size differs between parts of the data
 
 
@@ -85,6 +87,8 @@ def find_unproven(
             units = effect_from_entry(entries[k], current.experiment.model).parameter_units()
             if difference := contradiction(sizes, units):
                 return UnprovenEffect(k, f"it is not the same everywhere in the data ({difference})")
+        if share < _MIN_EXPLAINED_BY_ANY:
+            return UnprovenEffect(k, "it explains less than a fifth of the residual of its joint")
     return None
 
 

@@ -119,6 +119,19 @@ def test_the_only_effect_on_a_joint_must_explain_half_of_what_the_joint_has(
     assert (found.index if found else None) == unproven
 
 
+@pytest.mark.parametrize(("rest", "unproven"), [(0.1, False), (0.3, True)])
+def test_an_effect_must_explain_a_fifth_of_what_its_joint_has(tmp_path: Path, rest: float, unproven: bool) -> None:
+    """A spring that is the same at all times, on a joint with a vibration that no effect explains."""
+    hidden = torque_on_joint(0, lambda t, q, v, tau: 1.5 * (q - 0.4) + rest * np.sin(31 * t))
+    experiment = experiment_of(tmp_path, hidden)
+    current = fitted(experiment, SPRING)
+    without = [linearize_fit(with_effects(experiment, []), silent, current)]
+    found = find_unproven(current, list(current.experiment.config.effects), without, silent)
+    assert (found is not None) == unproven
+    if found is not None:
+        assert found.reason == "it explains less than a fifth of the residual of its joint"
+
+
 @pytest.mark.parametrize(("later", "unproven"), [(1.0, False), (0.3, True)])
 def test_an_effect_that_explains_little_must_be_the_same_everywhere(
     tmp_path: Path, later: float, unproven: bool
