@@ -121,10 +121,9 @@ def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> l
         return []
     choices = list(combinations(singles, 2))
     probes = [joined_probe(first.probe, second.probe) for first, second in choices]
+    screened = screen_probes(screening.reference, probes, progress, _STAGE)
     pairs = []
-    for (first, second), joined in zip(
-        choices, screen_probes(screening.reference, probes, progress, _STAGE), strict=True
-    ):
+    for (first, second), joined in zip(choices, screened, strict=True):
         pair = _screened_pair(first, second, joined)
         is_large = explained_share(pair.gain, base, 1) > _MIN_SCREENED_SHARE
         if is_large and all(_is_needed(effect, selection) for effect in pair.effects):
@@ -135,13 +134,12 @@ def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> l
 def _screened_pair(first: ScreenedProbe, second: ScreenedProbe, joined: ScreenedProbe) -> _ScreenedPair:
     """Pair of two probes, from the screening of each and of both together."""
     count = first.probe.coefficient_count
-    return _ScreenedPair(
-        (_beside(second, first, joined, slice(0, count)), _beside(first, second, joined, slice(count, None))),
-        joined.gains,
-    )
+    first_in_pair = _in_pair(first, second, joined, slice(0, count))
+    second_in_pair = _in_pair(second, first, joined, slice(count, None))
+    return _ScreenedPair((first_in_pair, second_in_pair), joined.gains)
 
 
-def _beside(other: ScreenedProbe, one: ScreenedProbe, joined: ScreenedProbe, part: slice) -> ScreenedProbe:
+def _in_pair(one: ScreenedProbe, other: ScreenedProbe, joined: ScreenedProbe, part: slice) -> ScreenedProbe:
     """A probe with its coefficients, a part of those of a pair, and its gain, beside the other one of the pair."""
     return replace(
         one,

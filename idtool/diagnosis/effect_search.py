@@ -254,7 +254,9 @@ class EffectSearch:
     def _add_effects(self) -> None:
         """Add effects of all kinds, one by one, and where none is left, two at a time."""
         self._add_in_rounds(self._effects, MIN_SHARE)
-        while self._add_pair():
+        for _ in range(self._max_effects):
+            if not self._add_pair():
+                break
             self._add_in_rounds(self._effects, MIN_SHARE)
 
     def _add_reversal_effects(self) -> None:

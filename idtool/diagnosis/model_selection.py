@@ -16,8 +16,8 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.records import Candidate
-from idtool.diagnosis.screen import ScreenedProbe, screen_probes, sum_standard_error, with_free_parameters
-from idtool.diagnosis.trial import FAILURES, TrialFit, movable_parameters
+from idtool.diagnosis.screen import ScreenedProbe, screen_probes, sum_standard_error
+from idtool.diagnosis.trial import TrialFit, beside_movable
 from idtool.dynamics.effects import effect_types, target_name
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
@@ -169,20 +169,6 @@ def probe_target(probe: Probe) -> tuple[str, str]:
 def is_reportable(effect: str) -> bool:
     """True if an effect is an answer of a diagnosis."""
     return effect_types()[effect].reportable
-
-
-def beside_movable(base: LinearizedFit, movable: Sequence[int], progress: Progress) -> LinearizedFit:
-    """Model of which the parameters of some effects, given by their indices, are free to first order, for a screening.
-
-    They were found without the candidates, and may imitate them.
-    """
-    parameters = movable_parameters(base, movable)
-    if parameters is None:
-        return base
-    try:
-        return with_free_parameters(base, parameters, progress)
-    except FAILURES:
-        return base
 
 
 def block_gains(before: LinearizedFit, after: LinearizedFit) -> Array:

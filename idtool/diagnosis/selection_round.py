@@ -28,7 +28,6 @@ from idtool.diagnosis.model_selection import (
     ProbeKey,
     Screening,
     SelectionStep,
-    beside_movable,
     best_by_key,
     probe_key,
     screened_record,
@@ -38,7 +37,7 @@ from idtool.diagnosis.noise_gain import noise_gain_with_probe
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
-from idtool.diagnosis.trial import FAILURES, has_fixed_inertia
+from idtool.diagnosis.trial import FAILURES, beside_movable, has_fixed_inertia
 from idtool.diagnosis.trial_transfer import trial_from_bytes, trial_to_bytes
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import Burst, DataSummary

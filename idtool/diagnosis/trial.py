@@ -17,7 +17,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import IdtoolError
 from idtool.data.signals import Motion
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
-from idtool.diagnosis.screen import screen_probes
+from idtool.diagnosis.screen import screen_probes, with_free_parameters
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.dynamics.effects import build_effects, effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
@@ -215,7 +215,21 @@ def _parameter_ranges(
     return ranges
 
 
-def movable_parameters(current: LinearizedFit, moving: Sequence[int]) -> Probe | None:
+def beside_movable(base: LinearizedFit, movable: Sequence[int], progress: Progress) -> LinearizedFit:
+    """Model of which the parameters of some effects, given by their indices, are free to first order, for a screening.
+
+    They were found without the candidates, and may imitate them.
+    """
+    parameters = _movable_parameters(base, movable)
+    if parameters is None:
+        return base
+    try:
+        return with_free_parameters(base, parameters, progress)
+    except FAILURES:
+        return base
+
+
+def _movable_parameters(current: LinearizedFit, moving: Sequence[int]) -> Probe | None:
     """Probe whose columns are the derivatives of the torque by all that some effects' fit moves; None: nothing.
 
     Parameters
