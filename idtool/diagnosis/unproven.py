@@ -100,9 +100,12 @@ def _clearest_joint(explained: Array, noise: Array) -> int:
     explained
         Mean square that it explains of each joint's residual, shape (nv,).
     noise
-        Mean square of each joint's noise, shape (nv,).
+        Mean square of each joint's noise, shape (nv,); 0: the joint rests, and shows nothing.
     """
-    return int(np.argmax(explained / np.maximum(noise, np.finfo(float).tiny)))
+    moves = noise > 0
+    if not moves.any():
+        return int(np.argmax(explained))
+    return int(np.argmax(np.divide(explained, noise, out=np.full(len(noise), -np.inf), where=moves)))
 
 
 def _explained_share(explained: float, above_floor: float) -> float:

@@ -98,8 +98,12 @@ def test_a_small_effect_must_bring_its_joint_to_the_noise_floor(
 
 def test_what_a_small_effect_explains_counts_in_units_of_each_joints_noise() -> None:
     """On a joint with much noise, it may explain more torque, and yet next to nothing of what is there."""
-    explained, noise = np.array([0.010, 0.004]), np.array([0.3, 0.001])
-    assert _clearest_joint(explained, noise) == 1
+    assert _clearest_joint(np.array([0.010, 0.004]), np.array([0.3, 0.001])) == 1
+
+
+def test_a_joint_that_rests_shows_nothing() -> None:
+    assert _clearest_joint(np.array([1e-9, 0.010, 0.004]), np.array([0.0, 0.3, 0.001])) == 2
+    assert _clearest_joint(np.array([1e-9, 0.010]), np.array([0.0, 0.0])) == 1
 
 
 @pytest.mark.parametrize(("rest", "unproven"), [(0.09, None), (0.14, 1)])
