@@ -69,7 +69,7 @@ def fit_and_judge(
     """
     fitted = fit_candidate(base, candidate, progress)
     reason = rejection_reason(fitted, base, initial, summary, progress)
-    others = movable_beside(base, candidate.probe.joint, movable)
+    others = possible_imitators(base, candidate.probe.joint, movable)
     is_complete = not reason and fitted.gain > _MIN_SHARE_OF_SCREENED * candidate.gain
     if is_complete or not others:
         return fitted, reason
@@ -167,7 +167,7 @@ def _errors_of_effect(trial: TrialFit, place: int) -> dict[str, float]:
     return {name: error for (i, name), error in trial.errors.items() if i == place}
 
 
-def movable_beside(base: LinearizedFit, joint: str | None, movable: Sequence[int]) -> list[int]:
+def possible_imitators(base: LinearizedFit, joint: str | None, movable: Sequence[int]) -> list[int]:
     """Indices of the effects that may imitate one on a joint: those on the same joint, and those that act on several.
 
     Parameters
@@ -365,11 +365,16 @@ def _exceeds_model_error(fit: LinearizedFit, base: LinearizedFit, initial: Linea
 
 
 def explained_share_above_noise(before: LinearizedFit, after: LinearizedFit, joint: str, progress: Progress) -> float:
-    """Share of a joint's squared residual above its noise that a model explains, and another one does not."""
+    """Share of a joint's squared residual above its noise that a model explains, and another one does not.
+
+    0 if the noise is not known.
+    """
     floors = []
     for fit in (before, after):
         floors.append(estimate_noise_floor(fit.experiment, fit.theta, progress, fit.reversal_margin))
     j = after.experiment.equation.joints.index(joint)
+    if not all(floor.is_joint_estimated[j] for floor in floors):
+        return 0.0
     square_before, square_after = (float(floor.residual[j]) ** 2 for floor in floors)
     noise_square = min(float(floor.noise[j]) for floor in floors) ** 2
     return (square_before - square_after) / max(square_before - noise_square, np.finfo(float).tiny)

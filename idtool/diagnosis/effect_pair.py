@@ -8,7 +8,7 @@ residual of the joint has above its noise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -18,10 +18,10 @@ from idtool.common.arrays import Array
 from idtool.diagnosis.candidate_fit import (
     NEARLY_ALL,
     explained_share_above_noise,
-    movable_beside,
+    possible_imitators,
     rejection_reason,
 )
-from idtool.diagnosis.linearized_fit import LinearizedFit
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import (
     MIN_SIGNIFICANCE,
     FittedCandidate,
@@ -35,6 +35,7 @@ from idtool.diagnosis.model_selection import (
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, has_fixed_inertia
+from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.probe import joined_probe
 from idtool.estimation.dataset.experiment import Progress
 
@@ -66,7 +67,7 @@ class _ScreenedPair:
 
 
 @dataclass(frozen=True)
-class FittedPair:
+class FittedEffectPair:
     """Two effects on one joint, fitted together with the whole model.
 
     Attributes
@@ -81,10 +82,12 @@ class FittedPair:
     trial: TrialFit
 
 
-def find_best_pair(
+def find_pairs(
     selection: SelectionStep, initial: LinearizedFit, movable: Sequence[int], progress: Progress
-) -> FittedPair | None:
-    """Two effects on one joint that explain its residual together, where a round found no single one; None without.
+) -> Iterator[FittedEffectPair]:
+    """Pairs of effects that explain the residual of a joint together, where a round found no single one.
+
+    They come joint by joint, the largest gain first.
 
     Parameters
     ----------
@@ -104,8 +107,7 @@ def find_best_pair(
             except FAILURES:
                 continue
             if fitted is not None:
-                return fitted
-    return None
+                yield fitted
 
 
 def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> list[_ScreenedPair]:
@@ -114,8 +116,8 @@ def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> l
     screening = selection.screening
     if screening is None:
         return []
-    own = [one for one in screening.screened if one.probe.joint == joint and is_reportable(one.probe.effect)]
-    singles = list(best_by_key(one for one in own if not one.failure).values())
+    own = [one for one in screening.screened if one.probe.joint == joint and _may_be_in_pair(one)]
+    singles = list(best_by_key(own).values())
     largest_gain = max((one.gain for one in singles), default=0.0)
     if largest_gain < MIN_SIGNIFICANCE**2 * selection.inflation:
         return []
@@ -129,6 +131,12 @@ def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> l
         if is_large and all(_is_needed(effect, selection) for effect in pair.effects):
             pairs.append(pair)
     return sorted(pairs, key=lambda pair: -pair.gain)
+
+
+def _may_be_in_pair(one: ScreenedProbe) -> bool:
+    """True if an effect is reported, and defined where it acts: else a pair would be judged by other samples."""
+    is_defined = not effect_types()[one.probe.effect].is_undefined_where_it_acts
+    return is_reportable(one.probe.effect) and is_defined and not one.failure
 
 
 def _screened_pair(first: ScreenedProbe, second: ScreenedProbe, joined: ScreenedProbe) -> _ScreenedPair:
@@ -162,7 +170,7 @@ def _fit_pair(
     initial: LinearizedFit,
     movable: Sequence[int],
     progress: Progress,
-) -> FittedPair | None:
+) -> FittedEffectPair | None:
     """Pair fitted with the whole model; None if it is rejected. Raises as `fit_trial`."""
     base = selection.base
     first, second = pair.effects
@@ -170,9 +178,12 @@ def _fit_pair(
     entries = list(base.experiment.config.effects)
     entries += [effect.entry for effect in pair.effects if effect.entry is not None]
     newest = [len(entries) - 2, len(entries) - 1]
-    moving = [*movable_beside(base, joint, movable), *newest]
+    moving = [*possible_imitators(base, joint, movable), *newest]
     trial = fit_trial(base, entries, moving, progress, _MAX_GAUSS_NEWTON_STEPS)
 
+    if trial.linearized.row_experiment is not base.row_experiment:  # since a play was fitted anew
+        on_rows_of_base = linearize_fit(trial.linearized.experiment, progress, base)
+        trial = replace(trial, linearized=on_rows_of_base)
     gains = block_gains(base, trial.linearized)
     both = FittedCandidate(second, trial, gains)
     summary = summarize_data(base, fixed_inertia=has_fixed_inertia(base.experiment))
@@ -186,4 +197,4 @@ def _fit_pair(
         FittedCandidate(first, trial, gains - without_first),
         FittedCandidate(second, trial, gains - without_second),
     )
-    return FittedPair(effects, trial)
+    return FittedEffectPair(effects, trial)

@@ -20,7 +20,7 @@ from idtool.diagnosis.candidate_fit import (
     without_insignificant_parameters,
     without_optional_parameters,
 )
-from idtool.diagnosis.effect_pair import find_best_pair
+from idtool.diagnosis.effect_pair import FittedEffectPair, find_pairs
 from idtool.diagnosis.error_summary import evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
@@ -311,20 +311,25 @@ class EffectSearch:
         selection = self.last_round
         if selection is None or selection.winner is not None or len(self.reported) + 2 > self._max_effects:
             return False
-        pair = find_best_pair(selection, self.initial, self.model.movable, self.progress)
-        if pair is None:
-            return False
-        before = self.model.state()
-        names = {probe_target(effect.probe) for effect in pair.effects}
-        others = tuple(one for one in selection.rejected if (one.effect, one.target) not in names)
-        selection = replace(selection, rejected=others)
-        for effect, entry in zip(pair.effects, pair.trial.entries[-2:], strict=True):
-            self.added.append(AddedEffect(entry, selection, fitted_record(effect, self.current)))
-        if self.model.try_refit() or lowers_held_out_likelihood(before.current, self.current):
-            self.model.restore(before)
+        pairs = find_pairs(selection, self.initial, self.model.movable, self.progress)
+        if not any(self._try_add_pair(selection, pair) for pair in pairs):
             return False
         self._prune()
         self._keep_as_complete()
+        return True
+
+    def _try_add_pair(self, selection: SelectionStep, pair: FittedEffectPair) -> bool:
+        """Add two effects; False if the model cannot be fitted with them or is worse on the held-out data."""
+        before = self.model.state()
+        targets = {probe_target(effect.probe) for effect in pair.effects}
+        rejected = tuple(one for one in selection.rejected if (one.effect, one.target) not in targets)
+        runners_up = tuple(one for one in selection.runners_up if probe_target(one.probe) not in targets)
+        for effect, entry in zip(pair.effects, pair.trial.entries[-2:], strict=True):
+            own_selection = replace(selection, winner=effect, rejected=rejected, runners_up=runners_up, screening=None)
+            self.added.append(AddedEffect(entry, own_selection, fitted_record(effect, before.current)))
+        if self.model.try_refit() or lowers_held_out_likelihood(before.current, self.current):
+            self.model.restore(before)
+            return False
         return True
 
     def _reversal_effects(self) -> tuple[str, ...]:
@@ -526,7 +531,8 @@ class EffectSearch:
         while self.reported:
             entries = [effect.entry for effect in self.reported]
             without = self.model.without_each()
-            unproven = find_unproven(self.current, entries, without, self.progress)
+            assumed = [i for i, effect in enumerate(self.reported) if effect.is_assumed]
+            unproven = find_unproven(self.current, entries, without, self.progress, assumed)
             if unproven is None:
                 return
             effect = self.reported[unproven.index]

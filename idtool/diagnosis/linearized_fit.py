@@ -41,6 +41,7 @@ _BLOCKS = 36  # of time, of all logs together
 _MIN_BLOCK_SECONDS = 0.4
 _BARRIER_GAP = 1e-4  # of the cost, that the barrier's minimiser may cost more
 _MIN_DATA_SHARE = 1e-5  # of a direction's information: with less from the data, the prior determines it
+_MIN_REMAINING_INFORMATION = 0.02  # of all, without one block
 _RANK = 1e-13  # of the largest eigenvalue: smaller ones are 0
 _MIN_DEFINED_ROWS = 0.1  # of a joint's rows, at which the model's own columns must be defined
 
@@ -57,11 +58,14 @@ class FurtherDirections:
         The directions, of which the data together have unit information, by parameter, shape (k, m).
     overlap
         What the model's own directions reproduce of them, shape (r, m).
+    score
+        Products of their rows with the residual, what the model's own directions reproduce left out, shape (m,).
     """
 
     columns: tuple[Array, ...]
     whitening: Array
     overlap: Array
+    score: Array
 
     def rows(self, batch_number: int, joint: int, own_rows: Array) -> Array:
         """Rows of a joint in one batch by these directions, shape (m, n), from those by the model's own, (r, n)."""
@@ -174,12 +178,31 @@ class LinearizedFit:
         """Squared validation error of all blocks."""
         return float(self.cv_squared_error.sum())
 
+    @property
+    def total_score(self) -> Array:
+        """Slope of the fit along y, shape (r,): 0 along the model's own directions, of which it is the optimum."""
+        own = np.zeros(len(self.information))
+        if self.further is not None:
+            own[-len(self.further.score) :] = self.further.score
+        return own
+
+    def information_without(self, block: int) -> Array:
+        """Information on y without a block, shape (r, r).
+
+        Along further directions a small share remains, since those that only one block determines stay as they are.
+        """
+        information = np.array(self.information - self.gram[block])
+        if self.further is not None:
+            m = len(self.further.score)
+            information[-m:, -m:] += _MIN_REMAINING_INFORMATION * np.eye(m)
+        return information
+
     @cached_property
     def jackknife_shift(self) -> Array:
         """Change of y when a block is left out, shape (F, r)."""
         shifts = []
-        for gram, score in zip(self.gram, self.score, strict=True):
-            shifts.append(np.linalg.solve(self.information - gram, -score))
+        for f, score in enumerate(self.score):
+            shifts.append(np.linalg.solve(self.information_without(f), self.total_score - score))
         return np.stack(shifts)
 
     def jackknife_covariance(self, coefficients: slice) -> Array:

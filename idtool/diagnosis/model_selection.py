@@ -17,7 +17,7 @@ from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes, sum_standard_error
-from idtool.diagnosis.trial import TrialFit, beside_movable
+from idtool.diagnosis.trial import TrialFit, with_nonlinear_parameters_free
 from idtool.dynamics.effects import effect_types, target_name
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
@@ -322,7 +322,7 @@ def _rivals(
     if not others:
         return []
     probes = [candidate.probe for candidate in others]
-    reference = beside_movable(winner.trial.linearized, movable, progress)
+    reference = with_nonlinear_parameters_free(winner.trial.linearized, movable, progress)
     with_winner = screen_probes(reference, probes, progress, "comparing candidates")
     rivals = []
     for candidate, rescreened in zip(others, with_winner, strict=True):

@@ -12,7 +12,7 @@ The filter spreads this over the samples around each rest and each reversal.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -49,6 +49,8 @@ class NoiseFloor:
         Power of the residual at the motion's frequencies over that of the noise there, shape (nv,).
     is_estimated
         False if the data do not suffice to estimate the noise of any joint: all of the residual counts as noise.
+    is_joint_estimated
+        Mask of the joints of which the data suffice, shape (nv,).
     """
 
     rms: Array
@@ -56,6 +58,7 @@ class NoiseFloor:
     residual: Array
     slow_power_ratio: Array
     is_estimated: bool = True
+    is_joint_estimated: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def without_structure(self, shares: Array) -> NoiseFloor:
         """Floor if shares of the residual's power, shape (nv,), are structure, and so not noise."""
@@ -82,7 +85,11 @@ class NoiseFloor:
 
 
 def estimate_noise_floor(
-    experiment: Experiment, theta: Array, progress: Progress, reversal_margin: float = 0.0
+    experiment: Experiment,
+    theta: Array,
+    progress: Progress,
+    reversal_margin: float = 0.0,
+    of_true_torque: bool = False,
 ) -> NoiseFloor:
     """Noise floor from the residual of a model, on the held-out data if there are any, else on the training data.
 
@@ -96,12 +103,14 @@ def estimate_noise_floor(
         Callback for the stage and its progress, from 0 to 1.
     reversal_margin
         Least distance in time from reversals at which a joint counts as moving [s].
+    of_true_torque
+        True for the residual of the true torque, False for that of the torque as errors are compared.
     """
-    judged = _residual_samples(experiment, theta, experiment.has_held_out, reversal_margin, progress)
+    judged = _residual_samples(experiment, theta, experiment.has_held_out, reversal_margin, of_true_torque, progress)
     periodograms = judged.periodograms
     if experiment.has_held_out and not any(map(_suffice, periodograms)):
         # noise is the same in the training data
-        training = _residual_samples(experiment, theta, False, reversal_margin, progress)
+        training = _residual_samples(experiment, theta, False, reversal_margin, of_true_torque, progress)
         periodograms = [a + b for a, b in zip(judged.periodograms, training.periodograms, strict=True)]
 
     low_pass = experiment.runs[0].signals.low_pass
@@ -119,8 +128,9 @@ def estimate_noise_floor(
     mean_squares = []
     for joint_noise, moving_count, at_rest in zip(noise, judged.moving_count, judged.resting, strict=True):
         mean_squares.append(_mean_square(float(joint_noise), float(moving_count), at_rest))
-    is_estimated = any(map(_suffice, periodograms))
-    return NoiseFloor(np.sqrt(mean_squares), noise, residual, slow_power_ratio, is_estimated)
+    is_joint_estimated = np.array([_suffice(powers) for powers in periodograms])
+    is_estimated = bool(is_joint_estimated.any())
+    return NoiseFloor(np.sqrt(mean_squares), noise, residual, slow_power_ratio, is_estimated, is_joint_estimated)
 
 
 @dataclass(frozen=True)
@@ -144,7 +154,12 @@ class _ResidualSamples:
 
 
 def _residual_samples(
-    experiment: Experiment, theta: Array, held_out: bool, reversal_margin: float, progress: Progress
+    experiment: Experiment,
+    theta: Array,
+    held_out: bool,
+    reversal_margin: float,
+    of_true_torque: bool,
+    progress: Progress,
 ) -> _ResidualSamples:
     """Residual of a model on the held-out or the training data; the arguments are those of `estimate_noise_floor`."""
     joint_count = len(experiment.equation.joints)
@@ -157,8 +172,11 @@ def _residual_samples(
         parts = run.parts(held_out)
         for batch in tracked(experiment.batches(run, held_out), parts, progress, "estimating the noise floor"):
             model = LinearizedModel(experiment.equation, theta, batch.motion)
-            measured, predicted = experiment.equation.compared_torques(batch, theta)
-            residual = measured - predicted
+            if of_true_torque:
+                residual = batch.filter(model.residual)
+            else:
+                measured, predicted = experiment.equation.compared_torques(batch, theta)
+                residual = measured - predicted
             moving = np.array(experiment.equation.clean_samples(batch, reversal_margin))
             moving_squares += (np.square(residual) * moving).sum(axis=1)
             moving_count += moving.sum(axis=1)

@@ -193,6 +193,8 @@ def with_free_parameters(linearized: LinearizedFit, probe: Probe, progress: Prog
     size = np.sqrt(np.maximum(CC.sum(axis=0).diagonal(), _ROUNDING))
     values, vectors = np.linalg.eigh(information / size[:, None] / size)
     is_new = values > _MIN_NEW_SHARE
+    if not is_new.any():
+        return linearized
     W = vectors[:, is_new] / size[:, None] / np.sqrt(values[is_new])
     XW = X @ W
 
@@ -205,7 +207,7 @@ def with_free_parameters(linearized: LinearizedFit, probe: Probe, progress: Prog
         gram=np.block([[gram, cross], [np.swapaxes(cross, 1, 2), own]]),
         score=np.concatenate([linearized.score, h @ W - linearized.score @ XW], axis=1),
         prior_information=np.block([[H, -H @ XW], [-XW.T @ H, XW.T @ H @ XW]]),
-        further=FurtherDirections(tuple(batch_columns), W, XW),
+        further=FurtherDirections(tuple(batch_columns), W, XW, h.sum(axis=0) @ W),
     )
 
 
@@ -412,7 +414,8 @@ def _solve_same_size(
     P = block_P.sum(axis=0)
     h = block_h.sum(axis=0)
     CC = block_CC.sum(axis=0)
-    c, _, schur = _solve(linearized.information, P, h, CC, np.zeros(len(linearized.information)))
+    shift = np.asarray(np.linalg.solve(linearized.information, linearized.total_score), dtype=np.float64)
+    c, _, schur = _solve(linearized.information, P, h, CC, shift)
 
     k = index.shape[1]
     lower = np.array([probe.lower or (-np.inf,) * k for probe in probes])
@@ -423,7 +426,7 @@ def _solve_same_size(
     for f in range(F):
         P_f, h_f, CC_f = block_P[f], block_h[f], block_CC[f]
         y0 = linearized.jackknife_shift[f]
-        c_f, X, _ = _solve(linearized.information - linearized.gram[f], P - P_f, h - h_f, CC - CC_f, y0)
+        c_f, X, _ = _solve(linearized.information_without(f), P - P_f, h - h_f, CC - CC_f, y0)
         is_within_bounds = np.logical_and(c_f >= lower, c_f <= upper).all(axis=1, keepdims=True)
         c_f = np.where(is_within_bounds, c_f, 0.0)  # what physics forbids explains nothing
         c_f[local_probes] = c[local_probes]  # other blocks tell nothing of them

@@ -37,7 +37,7 @@ from idtool.diagnosis.noise_gain import noise_gain_with_probe
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
-from idtool.diagnosis.trial import FAILURES, beside_movable, has_fixed_inertia
+from idtool.diagnosis.trial import FAILURES, has_fixed_inertia, with_nonlinear_parameters_free
 from idtool.diagnosis.trial_transfer import trial_from_bytes, trial_to_bytes
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import Burst, DataSummary
@@ -88,7 +88,7 @@ def find_best_effect(
         Indices of the model's effects whose nonlinear parameters may be moved.
     """
     summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
-    reference = beside_movable(base, movable, progress)
+    reference = with_nonlinear_parameters_free(base, movable, progress)
     screening = _screen_all(reference, summary, effects, skipped, progress)
     candidates = _refine(reference, screening.screened, progress)
     fits = _fit_best_candidates(base, initial, candidates, summary, screening.inflation, movable, progress)

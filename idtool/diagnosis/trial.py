@@ -215,7 +215,7 @@ def _parameter_ranges(
     return ranges
 
 
-def beside_movable(base: LinearizedFit, movable: Sequence[int], progress: Progress) -> LinearizedFit:
+def with_nonlinear_parameters_free(base: LinearizedFit, movable: Sequence[int], progress: Progress) -> LinearizedFit:
     """Model of which the parameters of some effects, given by their indices, are free to first order, for a screening.
 
     They were found without the candidates, and may imitate them.

@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +50,7 @@ def find_unproven(
     entries: Sequence[EffectEntry],
     without: Sequence[LinearizedFit],
     progress: Progress,
+    exempt: Container[int] = (),
 ) -> UnprovenEffect | None:
     """The effect with the least evidence; None if there is enough for all.
 
@@ -63,8 +64,12 @@ def find_unproven(
         The models without each of them, on the rows by which the effect is judged.
     progress
         Callback for the stage and its progress, from 0 to 1.
+    exempt
+        Indices of effects that are not judged.
     """
-    floor = estimate_noise_floor(current.experiment, current.estimate.theta, progress, current.reversal_margin)
+    theta = current.estimate.theta
+    margin = current.reversal_margin
+    floor = estimate_noise_floor(current.experiment, theta, progress, margin, of_true_torque=True)
     above_floor = np.maximum(current.mean_squared_residual - np.square(floor.noise), 0.0)
     explained = []
     for reduced in without:
@@ -72,12 +77,14 @@ def find_unproven(
         explained.append(reduced.mean_squared_residual - complete.mean_squared_residual)
     totals = np.sum(explained, axis=1)
 
-    largest_total = max(totals)
+    largest = int(np.argmax(totals))
     largest_on_joint = np.max(explained, axis=0)
     for k in np.argsort(totals).tolist():
+        if k in exempt:
+            continue
         j = _clearest_joint(explained[k], np.square(floor.noise))
         share = _explained_share(float(explained[k][j]), float(above_floor[j]))
-        is_small = totals[k] < _MIN_SHARE_OF_LARGEST * largest_total
+        is_small = k != largest and totals[k] < _MIN_SHARE_OF_LARGEST * totals[largest]
         is_small_on_joint = explained[k][j] < _MIN_SHARE_OF_LARGEST * largest_on_joint[j]
         min_share = _MIN_EXPLAINED if is_small_on_joint else _MIN_EXPLAINED_ON_ITS_JOINT
         if is_small and share < min_share:
@@ -88,7 +95,9 @@ def find_unproven(
             if difference := contradiction(sizes, units):
                 return UnprovenEffect(k, f"it is not the same everywhere in the data ({difference})")
         if share < _MIN_EXPLAINED_BY_ANY:
-            return UnprovenEffect(k, "it explains less than a fifth of the residual of its joint")
+            return UnprovenEffect(
+                k, "it explains less than a fifth of what its joint's residual has above the noise floor"
+            )
     return None
 
 

@@ -133,7 +133,7 @@ def test_an_effect_must_explain_a_fifth_of_what_its_joint_has(tmp_path: Path, re
     found = find_unproven(current, list(current.experiment.config.effects), without, silent)
     assert (found is not None) == unproven
     if found is not None:
-        assert found.reason == "it explains less than a fifth of the residual of its joint"
+        assert found.reason == "it explains less than a fifth of what its joint's residual has above the noise floor"
 
 
 @pytest.mark.parametrize(("later", "unproven"), [(1.0, False), (0.3, True)])
