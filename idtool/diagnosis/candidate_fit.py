@@ -1,6 +1,7 @@
-"""Candidates fitted with the whole model, and the reasons for which they are then rejected.
+"""Candidates fitted together with the whole model, and the reasons for which they are then rejected.
 
-What one explained to first order may be due to the rest of the model, be nothing that a robot has, or be undetermined.
+The screening that chose them is of first order, with the rest of the model fixed. In the fit, a candidate may turn out
+to be negligible, implausible or not determined by the data.
 """
 
 from __future__ import annotations
@@ -25,18 +26,15 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import EffectEntry
 
 _MAX_GAUSS_NEWTON_STEPS = 5  # of the fit of a candidate for which one step is not enough
-_MIN_SHARE_OF_SCREENED = 0.8  # of the gain of the screening, that a complete fit must have
+_MIN_SHARE_OF_SCREENED_GAIN = 0.8  # that a fit must reach; otherwise, other effects are fitted anew with it
 _MAX_HELD_OUT_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
 _MAX_LOSS_SHARE = 0.2  # largest ratio of the loss in some blocks to the gain in others
 _MIN_PARAMETER_SIGNIFICANCE = 2.5  # least ratio of an optional parameter to its standard error, to be kept
-# least reduction, as a share of the initial squared residual: the effects found are accurate to 1 % at best, squared
-_MIN_SAVED_SHARE = 1e-4
+_ACCURACY_OF_EFFECTS = 0.01  # at best: what is left of a strong effect is this share of its torque
 _MIN_SHARE_OF_TORQUE = 5e-3  # of a joint's rms torque, that an effect must have to be named
-_MIN_SHARE_IF_COMPLETE = 3e-3  # likewise, if it explains nearly all that is left, or is not reported
+_MIN_SHARE_OF_TORQUE_RELAXED = 3e-3  # likewise, if it explains nearly all that is left, or is not reported
 NEARLY_ALL = 0.9  # of a joint's squared residual above its noise
-_TOO_SMALL = (
-    "explains less than the uncertainty of the effects that were found before, or only a negligible part of the torque"
-)
+_TOO_SMALL = "explains less than the effects found before are uncertain by, or a negligible part of the torque"
 _RANGE_EDGE_RATIO = 1.02  # ratio to an end of a range, up to which a value is at that end
 _BOUND_TOLERANCE = 1e-9  # distance from a bound, up to which a coefficient is at it
 
@@ -49,10 +47,10 @@ def fit_and_judge(
     movable: Sequence[int],
     progress: Progress,
 ) -> tuple[FittedCandidate, str]:
-    """Fit of a candidate with the whole model, and the reason why it is rejected, a clause; empty if it is accepted.
+    """Fit of a candidate with the whole model, and the reason why it is rejected.
 
-    The nonlinear parameters of the other effects were found without the candidate, and may imitate it. Where it is
-    rejected, or explains less than beside their best values in the screening, they are fitted anew together with it.
+    The nonlinear parameters of the other effects were found without the candidate, and may imitate it. If it is
+    rejected, or gains clearly less than the screening predicted, they are fitted anew together with it.
 
     Parameters
     ----------
@@ -66,15 +64,23 @@ def fit_and_judge(
         Indices of the model's effects whose nonlinear parameters may be moved.
     progress
         Callback for the stage and its progress, from 0 to 1.
+
+    Returns
+    -------
+    The fit, and the reason as a clause; empty if the candidate is accepted.
+
+    Raises
+    ------
+    As `fit_candidate`, if the candidate cannot be fitted with the other effects as they are.
     """
     fitted = fit_candidate(base, candidate, progress)
     reason = rejection_reason(fitted, base, initial, summary, progress)
-    others = possible_imitators(base, candidate.probe.joint, movable)
-    is_complete = not reason and fitted.gain > _MIN_SHARE_OF_SCREENED * candidate.gain
-    if is_complete or not others:
+    imitators = possible_imitators(base, candidate.probe.joint, movable)
+    is_satisfactory = not reason and fitted.gain > _MIN_SHARE_OF_SCREENED_GAIN * candidate.gain
+    if is_satisfactory or not imitators:
         return fitted, reason
     try:
-        refitted = fit_candidate(base, candidate, progress, others)
+        refitted = fit_candidate(base, candidate, progress, imitators)
     except FAILURES:
         return fitted, reason
     reason_of_refitted = rejection_reason(refitted, base, initial, summary, progress)
@@ -162,32 +168,42 @@ def _without(entry: EffectEntry, names: Sequence[str]) -> EffectEntry:
     return entry.model_copy(update={"parameters": parameters})
 
 
-def _errors_of_effect(trial: TrialFit, place: int) -> dict[str, float]:
-    """Standard errors of an effect's nonlinear parameters that were moved; ``place`` is its index in the entries."""
-    return {name: error for (i, name), error in trial.errors.items() if i == place}
+def _errors_of_effect(trial: TrialFit, index: int) -> dict[str, float]:
+    """Standard errors, by name, of those nonlinear parameters of an effect that were moved.
+
+    Parameters
+    ----------
+    trial
+        The fit.
+    index
+        Index of the effect in its entries.
+    """
+    return {name: error for (i, name), error in trial.errors.items() if i == index}
 
 
 def possible_imitators(base: LinearizedFit, joint: str | None, movable: Sequence[int]) -> list[int]:
-    """Indices of the effects that may imitate one on a joint: those on the same joint, and those that act on several.
+    """Indices of the effects whose parameters may have been fitted to what a candidate on a joint would explain.
+
+    They act on the same joint or on several, and have parameters to move.
 
     Parameters
     ----------
     base
         The model.
     joint
-        The joint; None: the other one acts on several joints.
+        The candidate's joint; None: it acts on several.
     movable
         Indices of the model's effects whose nonlinear parameters may be moved.
     """
-    beside = []
+    imitators = []
     for i in movable:
         entry = base.experiment.config.effects[i]
         kind = effect_types()[entry.effect]
         if joint is not None and entry.joint is not None and entry.joint != joint:
             continue
         if kind.gradient_parameters() or (issubclass(kind, JointEffect) and kind.grid_parameters()):
-            beside.append(i)
-    return beside
+            imitators.append(i)
+    return imitators
 
 
 def not_fitted_reason(failure: Exception) -> str:
@@ -221,13 +237,13 @@ def rejection_reason(
     trial = candidate.trial
     fit = trial.linearized
     count = len(trial.entries)
-    for place in range(count - new_count, count):
-        reason = implausibility(fit, trial.entries[place], summary)
+    for index in range(count - new_count, count):
+        reason = implausibility(fit, trial.entries[index], summary)
         if reason:
             return reason
-        if not _is_within_bounds(fit, trial.entries[place]):
+        if not _is_present_within_bounds(fit, trial.entries[index]):
             return "reaches its bounds when fitted with the rest of the model"
-        parameter = _undetermined_parameter(trial, place)
+        parameter = _undetermined_parameter(trial, index)
         if parameter:
             return f"its {parameter} is not determined by the data"
     loss = -np.minimum(candidate.gains, 0).sum()
@@ -236,19 +252,24 @@ def rejection_reason(
         return "reduces the error in some parts of the log and increases it in others"
     if _worsens_held_out_error(candidate, base):
         return "increases the error on the held-out data"
-    if _exceeds_model_error(fit, base, initial, _MIN_SHARE_OF_TORQUE):
-        return ""
-    if _exceeds_model_error(fit, base, initial, _MIN_SHARE_IF_COMPLETE):
-        joint = candidate.probe.joint
-        if not is_reportable(candidate.probe.effect):
-            return ""
-        if joint is not None and explained_share_above_noise(base, fit, joint, progress) > NEARLY_ALL:
-            return ""
-    return _TOO_SMALL
+    return _TOO_SMALL if _is_too_small(candidate, base, initial, progress) else ""
+
+
+def _is_too_small(candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, progress: Progress) -> bool:
+    """True if an effect explains too little to be named, or to be fitted if it is not named."""
+    fit = candidate.trial.linearized
+    if _explains_enough(fit, base, initial, _MIN_SHARE_OF_TORQUE):
+        return False
+    if not _explains_enough(fit, base, initial, _MIN_SHARE_OF_TORQUE_RELAXED):
+        return True
+    if not is_reportable(candidate.probe.effect):
+        return False
+    joint = candidate.probe.joint
+    return joint is None or explained_share_above_noise(base, fit, joint, progress) <= NEARLY_ALL
 
 
 def implausibility(fit: LinearizedFit, entry: EffectEntry, summary: DataSummary) -> str:
-    """Reason why no robot has an effect of the model, a clause; empty if one may have it."""
+    """Reason why no robot has an effect with the parameters of a fit, as a clause; empty if one may have it."""
     values = dict(entry.values)
     effect_and_slice = fit.find_effect(entry)
     if effect_and_slice is not None:
@@ -275,7 +296,7 @@ def _worsens_held_out_error(candidate: FittedCandidate, base: LinearizedFit) -> 
     return bool(with_effect[is_acted_on].sum() > _MAX_HELD_OUT_RATIO * without[is_acted_on].sum())
 
 
-def _undetermined_parameter(trial: TrialFit, place: int) -> str:
+def _undetermined_parameter(trial: TrialFit, index: int) -> str:
     """First nonlinear parameter of an effect that the data do not determine; empty if there is none.
 
     Its standard error is too large, or its value is at an end of its range.
@@ -284,18 +305,18 @@ def _undetermined_parameter(trial: TrialFit, place: int) -> str:
     ----------
     trial
         The fit.
-    place
+    index
         Index of the effect in its entries.
     """
-    entry = trial.entries[place]
-    imprecise = imprecise_parameter(entry, _errors_of_effect(trial, place))
+    entry = trial.entries[index]
+    imprecise = imprecise_parameter(entry, _errors_of_effect(trial, index))
     if imprecise:
         return imprecise
     for parameter in effect_types()[entry.effect].nonlinear_parameters:
-        key = (place, parameter.name)
+        key = (index, parameter.name)
         value = parameter_value(entry, parameter.name)
         if key in trial.errors and _must_be_determined(parameter) and isinstance(value, float):
-            low, high = trial.ranges.get(key, (-np.inf, np.inf))  # of these, only positive ones have one
+            low, high = trial.ranges.get(key, (-np.inf, np.inf))  # only positive parameters have one
             if not low * _RANGE_EDGE_RATIO < value < high / _RANGE_EDGE_RATIO:
                 return parameter.name
     return ""
@@ -335,11 +356,11 @@ def _max_standard_error(parameter: NonlinearParameter, value: float) -> float:
     return np.inf
 
 
-def _is_within_bounds(fit: LinearizedFit, entry: EffectEntry) -> bool:
+def _is_present_within_bounds(fit: LinearizedFit, entry: EffectEntry) -> bool:
     """True if an effect's coefficients are below their upper bounds, and at least one is above its lower bound.
 
-    At its lower bound, a coefficient is absent. Some may be, as a part of an effect; if all are, the effect itself is
-    absent. True for an effect without coefficients.
+    At its lower bound, a coefficient is absent. Parts of an effect may be; if all are, so is the effect. True for an
+    effect without coefficients.
     """
     effect_and_slice = fit.find_effect(entry)
     if effect_and_slice is None:
@@ -350,24 +371,35 @@ def _is_within_bounds(fit: LinearizedFit, entry: EffectEntry) -> bool:
     return is_present and all(value < c.upper for c, value in own)
 
 
-def _exceeds_model_error(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit, min_share: float) -> bool:
+def _explains_enough(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit, min_share: float) -> bool:
     """True if the squared residual of some joint falls by more than both of two thresholds.
 
-    - The error that the effects found are expected to leave, a share of the squared residual in the initial model: what
-      is left of a strong effect is no effect of its own.
+    - The squared residual that the effects found are expected to leave of the initial one. What is left of a strong
+      effect is no effect of its own.
     - The square of a share, ``min_share``, of the joint's rms torque.
     """
     # both in units of the base's noise: a fit that uses or rescales the measured torque has another noise of its own
     saved = (base.sse - fit.sse).sum(axis=0) * np.square(base.noise)
-    uncertain = _MIN_SAVED_SHARE * initial.sse.sum(axis=0) * np.square(initial.noise)
+    uncertain = _ACCURACY_OF_EFFECTS**2 * initial.sse.sum(axis=0) * np.square(initial.noise)
     negligible = base.row_counts.sum(axis=0) * np.square(min_share * base.rms_torque)
     return bool((saved > np.maximum(uncertain, negligible)).any())
 
 
 def explained_share_above_noise(before: LinearizedFit, after: LinearizedFit, joint: str, progress: Progress) -> float:
-    """Share of a joint's squared residual above its noise that a model explains, and another one does not.
+    """Share of a joint's squared residual above the noise that one fit removes from another.
 
-    0 if the noise is not known.
+    Parameters
+    ----------
+    before, after
+        The fits, without and with what is to explain it.
+    joint
+        Name of the joint.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+
+    Returns
+    -------
+    The share, of 1; 0 if the noise of the joint is not known.
     """
     floors = []
     for fit in (before, after):

@@ -1,9 +1,9 @@
 """Two effects on one joint that explain its residual only together.
 
 Where a joint lacks two effects, each alone may increase the error in parts of the log, or need parameters that no robot
-has, so that a round of the search rejects both. Here all pairs of a joint's candidates are screened, and the best are
-fitted with the whole model. Two effects can imitate more than one can, so they must explain nearly all that the
-residual of the joint has above its noise.
+has, so that a round of the search rejects both. Here the candidates of a joint, each at its best parameters, are
+screened in pairs, and the best pairs are fitted with the whole model. Two effects can imitate more than one can, so
+they must explain nearly all that the residual of the joint has above its noise.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, has_fixed_inertia
 from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.probe import joined_probe
 from idtool.estimation.dataset.experiment import Progress
 
@@ -47,18 +48,21 @@ _MIN_SCREENED_SHARE = 0.4  # of a joint's squared residual, that a pair must exp
 
 @dataclass(frozen=True)
 class _ScreenedPair:
-    """Two effects on one joint, and what they explain.
+    """Two effects on one joint, screened together.
 
     Attributes
     ----------
     effects
         Both, each with its coefficients in the pair and its gain beside the other.
     gains
-        Gain of the pair in each block, shape (F,).
+        Gain of the pair in each block of time, shape (F,).
+    gains_alone
+        Gain of each effect alone, shape (F,); 0 in a block where it is below 0.
     """
 
     effects: tuple[ScreenedProbe, ScreenedProbe]
     gains: Array
+    gains_alone: tuple[Array, Array]
 
     @property
     def gain(self) -> float:
@@ -87,12 +91,13 @@ def find_pairs(
 ) -> Iterator[FittedEffectPair]:
     """Pairs of effects that explain the residual of a joint together, where a round found no single one.
 
-    They come joint by joint, the largest gain first.
+    They come joint by joint, those with the largest gain in the screening first. Pairs that cannot be fitted are left
+    out.
 
     Parameters
     ----------
     selection
-        The round.
+        The last round, which has no winner.
     initial
         The model without any of the effects found.
     movable
@@ -100,10 +105,12 @@ def find_pairs(
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
-    for joint in selection.base.experiment.equation.joints:
+    base = selection.base
+    summary = summarize_data(base, fixed_inertia=has_fixed_inertia(base.experiment))
+    for joint in base.experiment.equation.joints:
         for pair in _screen_pairs(selection, joint, progress)[:_MAX_FITS]:
             try:
-                fitted = _fit_pair(pair, selection, initial, movable, progress)
+                fitted = _fit_pair(pair, base, initial, summary, movable, progress)
             except FAILURES:
                 continue
             if fitted is not None:
@@ -116,18 +123,18 @@ def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> l
     screening = selection.screening
     if screening is None:
         return []
-    own = [one for one in screening.screened if one.probe.joint == joint and _may_be_in_pair(one)]
-    singles = list(best_by_key(own).values())
-    largest_gain = max((one.gain for one in singles), default=0.0)
-    if largest_gain < MIN_SIGNIFICANCE**2 * selection.inflation:
+    on_joint = [one for one in screening.screened if one.probe.joint == joint and _may_be_in_pair(one)]
+    candidates = list(best_by_key(on_joint).values())
+    largest_gain = max((candidate.gain for candidate in candidates), default=0.0)
+    if largest_gain < MIN_SIGNIFICANCE**2 * selection.inflation:  # nothing on this joint explains anything
         return []
-    choices = list(combinations(singles, 2))
+    choices = list(combinations(candidates, 2))
     probes = [joined_probe(first.probe, second.probe) for first, second in choices]
     screened = screen_probes(screening.reference, probes, progress, _STAGE)
     pairs = []
     for (first, second), joined in zip(choices, screened, strict=True):
         pair = _screened_pair(first, second, joined)
-        is_large = explained_share(pair.gain, base, 1) > _MIN_SCREENED_SHARE
+        is_large = explained_share(pair.gain, base, joint_count=1) > _MIN_SCREENED_SHARE
         if is_large and all(_is_needed(effect, selection) for effect in pair.effects):
             pairs.append(pair)
     return sorted(pairs, key=lambda pair: -pair.gain)
@@ -142,37 +149,46 @@ def _may_be_in_pair(one: ScreenedProbe) -> bool:
 def _screened_pair(first: ScreenedProbe, second: ScreenedProbe, joined: ScreenedProbe) -> _ScreenedPair:
     """Pair of two probes, from the screening of each and of both together."""
     count = first.probe.coefficient_count
-    first_in_pair = _in_pair(first, second, joined, slice(0, count))
-    second_in_pair = _in_pair(second, first, joined, slice(count, None))
-    return _ScreenedPair((first_in_pair, second_in_pair), joined.gains)
+    # one that increases the error of a block would not be in the model without the other
+    first_alone = np.maximum(first.gains, 0.0)
+    second_alone = np.maximum(second.gains, 0.0)
+    first_in_pair = _part_of_pair(first, joined, slice(0, count), joined.gains - second_alone)
+    second_in_pair = _part_of_pair(second, joined, slice(count, None), joined.gains - first_alone)
+    return _ScreenedPair((first_in_pair, second_in_pair), joined.gains, (first_alone, second_alone))
 
 
-def _in_pair(one: ScreenedProbe, other: ScreenedProbe, joined: ScreenedProbe, part: slice) -> ScreenedProbe:
-    """A probe with its coefficients, a part of those of a pair, and its gain, beside the other one of the pair."""
+def _part_of_pair(one: ScreenedProbe, joined: ScreenedProbe, part: slice, gains: Array) -> ScreenedProbe:
+    """A probe with its coefficients in a pair, a part of the pair's, and its gain beside the other one, shape (F,)."""
     return replace(
         one,
         c=joined.c[part],
         covariance=joined.covariance[part, part],
         information=joined.marginal_information(part),
-        gains=joined.gains - np.maximum(other.gains, 0.0),
+        gains=gains,
     )
 
 
 def _is_needed(effect: ScreenedProbe, selection: SelectionStep) -> bool:
     """True if an effect of a pair is possible, and worthwhile beside the other."""
-    complexity = effect.probe.complexity
-    return effect.is_possible and is_worthwhile(effect.gain, selection.base, selection.inflation, True, complexity)
+    is_gain_large_enough = is_worthwhile(
+        effect.gain,
+        selection.base,
+        selection.inflation,
+        on_joint=True,
+        parameter_count=effect.probe.complexity,
+    )
+    return effect.is_possible and is_gain_large_enough
 
 
 def _fit_pair(
     pair: _ScreenedPair,
-    selection: SelectionStep,
+    base: LinearizedFit,
     initial: LinearizedFit,
+    summary: DataSummary,
     movable: Sequence[int],
     progress: Progress,
 ) -> FittedEffectPair | None:
     """Pair fitted with the whole model; None if it is rejected. Raises as `fit_trial`."""
-    base = selection.base
     first, second = pair.effects
     joint = str(first.probe.joint)
     entries = list(base.experiment.config.effects)
@@ -181,20 +197,16 @@ def _fit_pair(
     moving = [*possible_imitators(base, joint, movable), *newest]
     trial = fit_trial(base, entries, moving, progress, _MAX_GAUSS_NEWTON_STEPS)
 
-    if trial.linearized.row_experiment is not base.row_experiment:  # since a play was fitted anew
+    if trial.linearized.row_experiment is not base.row_experiment:  # a backlash was fitted anew
         on_rows_of_base = linearize_fit(trial.linearized.experiment, progress, base)
         trial = replace(trial, linearized=on_rows_of_base)
     gains = block_gains(base, trial.linearized)
     both = FittedCandidate(second, trial, gains)
-    summary = summarize_data(base, fixed_inertia=has_fixed_inertia(base.experiment))
     if rejection_reason(both, base, initial, summary, progress, new_count=2):
         return None
     if explained_share_above_noise(base, trial.linearized, joint, progress) < NEARLY_ALL:
         return None
-    without_first = pair.gains - first.gains
-    without_second = pair.gains - second.gains
-    effects = (
-        FittedCandidate(first, trial, gains - without_first),
-        FittedCandidate(second, trial, gains - without_second),
-    )
-    return FittedEffectPair(effects, trial)
+    first_alone, second_alone = pair.gains_alone
+    first_fitted = FittedCandidate(first, trial, gains - second_alone)
+    second_fitted = FittedCandidate(second, trial, gains - first_alone)
+    return FittedEffectPair((first_fitted, second_fitted), trial)

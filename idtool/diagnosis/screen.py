@@ -165,9 +165,10 @@ def screen_probes(
 
 
 def with_free_parameters(linearized: LinearizedFit, probe: Probe, progress: Progress) -> LinearizedFit:
-    """Fit of which further parameters are free, to first order; their derivatives are the columns of a probe.
+    """Fit with the coefficients of a probe as further parameters, which are free to first order.
 
-    Screened with it, a candidate gains what it explains beside the best values of these parameters.
+    Screened against it, a candidate gains what it explains beside their best values. Without a column that the model
+    cannot reproduce, it is the same fit. Letters as above; W whitens the further directions.
     """
     k = probe.coefficient_count
     F, r = linearized.block_count, len(linearized.information)

@@ -13,7 +13,7 @@ from disturbed import Hidden, experiment_of, motion, silent, torque_on_joint
 
 from idtool.common import processes
 from idtool.common.exceptions import SolverError
-from idtool.diagnosis import candidate_fit, effect_order, effect_search, selection_round
+from idtool.diagnosis import candidate_fit, effect_order, effect_pair, effect_search, selection_round, trial
 from idtool.diagnosis.effect_order import StepErrors, first_harmful, order_effects
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
@@ -246,6 +246,32 @@ def test_two_effects_that_a_round_rejects_are_found_together(tmp_path: Path, mon
     for effect in search.added:
         assert effect.chosen.score > 0
         assert all(one.effect != effect.chosen.effect or one.target != "j1" for one in effect.selection.rejected)
+
+
+def test_a_pair_that_cannot_be_fitted_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: Any) -> Any:
+        raise SolverError("solver", "as this test wants it")
+
+    drag = torque_on_joint(0, lambda t, q, v, tau: 0.3 * v * np.abs(v))
+    experiment = experiment_of(tmp_path, together(dry_friction, drag), rows=slice(8000))
+    monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
+    monkeypatch.setattr(effect_pair, "fit_trial", fail)
+    search = EffectSearch(experiment, ("coulomb_friction", "quadratic_drag"), 4, silent)
+    search.run()
+    assert (owners(search), search.stopped) == ([], "")
+
+
+def test_parameters_that_cannot_be_freed_stay_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: Any) -> Any:
+        raise np.linalg.LinAlgError
+
+    experiment = experiment_of(tmp_path, spring, rows=slice(8000))
+    search = search_with(experiment, [SPRING])
+    (place,) = search.model.movable
+    free = trial.with_nonlinear_parameters_free(search.current, [place], silent)
+    assert len(free.information) == len(search.current.information) + 1  # the position at which the spring is at rest
+    monkeypatch.setattr(trial, "with_free_parameters", fail)
+    assert trial.with_nonlinear_parameters_free(search.current, [place], silent) is search.current
 
 
 @pytest.mark.parametrize("max_effects", [4, 1])
