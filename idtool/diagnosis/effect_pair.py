@@ -23,6 +23,7 @@ from idtool.diagnosis.candidate_fit import (
 )
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import (
+    MIN_SHARE,
     MIN_SIGNIFICANCE,
     FittedCandidate,
     SelectionStep,
@@ -32,6 +33,7 @@ from idtool.diagnosis.model_selection import (
     is_reportable,
     is_worthwhile,
 )
+from idtool.diagnosis.noise_floor import estimate_noise_floor
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, has_fixed_inertia
@@ -107,7 +109,7 @@ def find_pairs(
     """
     base = selection.base
     summary = summarize_data(base, fixed_inertia=has_fixed_inertia(base.experiment))
-    for joint in base.experiment.equation.joints:
+    for joint in _joints_above_noise(base, progress):
         for pair in _screen_pairs(selection, joint, progress)[:_MAX_FITS]:
             try:
                 fitted = _fit_pair(pair, base, initial, summary, movable, progress)
@@ -115,6 +117,15 @@ def find_pairs(
                 continue
             if fitted is not None:
                 yield fitted
+
+
+def _joints_above_noise(base: LinearizedFit, progress: Progress) -> list[str]:
+    """Joints of whose squared residual more is above the noise than an effect must explain."""
+    floor = estimate_noise_floor(base.experiment, base.theta, progress, base.reversal_margin)
+    residual_square = np.square(floor.residual)
+    is_above = residual_square - np.square(floor.noise) > MIN_SHARE * residual_square
+    is_chosen = floor.is_joint_estimated & is_above
+    return [joint for joint, chosen in zip(base.experiment.equation.joints, is_chosen, strict=True) if chosen]
 
 
 def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> list[_ScreenedPair]:
