@@ -368,7 +368,7 @@ def _is_present_within_bounds(fit: LinearizedFit, entry: EffectEntry) -> bool:
     _, part = effect_and_slice
     own = list(zip(fit.experiment.equation.coefficients[part], fit.estimate.theta[part], strict=True))
     is_present = any(value > c.lower + _BOUND_TOLERANCE for c, value in own)
-    return is_present and all(value < c.upper for c, value in own)
+    return is_present and all(value < c.upper - _BOUND_TOLERANCE for c, value in own)
 
 
 def _explains_enough(fit: LinearizedFit, base: LinearizedFit, initial: LinearizedFit, min_share: float) -> bool:
