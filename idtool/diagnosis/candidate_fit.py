@@ -33,6 +33,7 @@ _MIN_PARAMETER_SIGNIFICANCE = 2.5  # least ratio of an optional parameter to its
 _ACCURACY_OF_EFFECTS = 0.01  # at best: what is left of a strong effect is this share of its torque
 _MIN_SHARE_OF_TORQUE = 5e-3  # of a joint's rms torque, that an effect must have to be named
 _MIN_SHARE_OF_TORQUE_RELAXED = 3e-3  # likewise, if it explains nearly all that is left, or is not reported
+_MIN_SHARE_OF_TORQUE_AT_ALL = 1e-3  # likewise, if it leaves nothing
 NEARLY_ALL = 0.9  # of a joint's squared residual above its noise
 _TOO_SMALL = "explains less than the effects found before are uncertain by, or a negligible part of the torque"
 _RANGE_EDGE_RATIO = 1.02  # ratio to an end of a range, up to which a value is at that end
@@ -258,14 +259,20 @@ def rejection_reason(
 def _is_too_small(candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, progress: Progress) -> bool:
     """True if an effect explains too little to be named, or to be fitted if it is not named."""
     fit = candidate.trial.linearized
+    joint = candidate.probe.joint
     if _explains_enough(fit, base, initial, _MIN_SHARE_OF_TORQUE):
         return False
-    if not _explains_enough(fit, base, initial, _MIN_SHARE_OF_TORQUE_RELAXED):
-        return True
     if not is_reportable(candidate.probe.effect):
-        return False
-    joint = candidate.probe.joint
-    return joint is None or explained_share_above_noise(base, fit, joint, progress) <= NEARLY_ALL
+        return not _explains_enough(fit, base, initial, _MIN_SHARE_OF_TORQUE_RELAXED)
+    if joint is None or not _explains_enough(fit, base, initial, _MIN_SHARE_OF_TORQUE_AT_ALL):
+        return True
+    explained = explained_share_above_noise(base, fit, joint, progress)
+    if explained <= NEARLY_ALL:
+        return True
+    # the less it leaves, the smaller it may be
+    unexplained_ratio = max(1 - explained, 0.0) / (1 - NEARLY_ALL)
+    min_share = max(_MIN_SHARE_OF_TORQUE_RELAXED * np.sqrt(unexplained_ratio), _MIN_SHARE_OF_TORQUE_AT_ALL)
+    return not _explains_enough(fit, base, initial, min_share)
 
 
 def implausibility(fit: LinearizedFit, entry: EffectEntry, summary: DataSummary) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from disturbed import experiment_of, nothing, silent, torque_on_joint
+from disturbed import Array, experiment_of, motion, nothing, silent, torque_on_joint
 
 from idtool.diagnosis.confirmation import contradiction, estimate_on_parts
 from idtool.diagnosis.diagnose import Options, diagnose
@@ -17,6 +17,7 @@ from idtool.diagnosis.doubts import doubt_about
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import Diagnosis, PartEstimate
+from idtool.diagnosis.selection_round import find_best_effect
 from idtool.diagnosis.trial import with_effects, with_fixed_inertia
 from idtool.diagnosis.unproven import _clearest_joint, find_unproven
 from idtool.estimation.dataset.experiment import Experiment
@@ -168,3 +169,27 @@ def test_held_out_data_are_less_likely_with_what_is_not_there(tmp_path: Path) ->
         before = fitted(experiment)
         after = linearize_fit(with_effects(experiment, [SPRING]), silent, before)
         assert lowers_held_out_likelihood(before, after) is worsens
+
+
+@pytest.mark.parametrize(
+    ("size", "rest", "is_named"),
+    [(2e-3, 0.0, True), (5e-4, 0.0, False), (2e-3, 1e-3, False)],
+    ids=["leaves nothing", "negligible", "leaves something"],
+)
+def test_an_effect_of_a_thousandth_of_the_torque_is_named_if_it_leaves_nothing(
+    tmp_path: Path, size: float, rest: float, is_named: bool
+) -> None:
+    """A stop that is reached now and then, and a rest that no stop explains, as shares of the torque."""
+    _, q, _, tau = motion()
+    rms_torque = np.sqrt(np.mean(tau[0] ** 2))
+    beyond = np.maximum(q[0] - 0.9, 0.0)
+    stiffness = size * rms_torque / np.sqrt(np.mean(beyond**2))
+
+    def stop_and_rest(t: Array, q: Array, v: Array, tau: Array) -> Array:
+        return stiffness * np.maximum(q - 0.9, 0.0) + rest * rms_torque * np.sign(np.sin(9 * t))
+
+    base = linearize_fit(experiment_of(tmp_path, torque_on_joint(0, stop_and_rest)), silent)
+    winner = find_best_effect(base, base, silent, ("end_stop",)).winner
+    assert (winner is not None) is is_named
+    if winner is not None:
+        assert winner.trial.entries[-1].parameters["stiffness"] == pytest.approx(stiffness, rel=0.1)
