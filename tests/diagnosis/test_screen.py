@@ -121,14 +121,6 @@ def assert_same(found: ScreenedProbe, expected: ScreenedProbe, rtol: float = 1e-
     np.testing.assert_allclose(found.information, expected.information, rtol=rtol, atol=rtol)
 
 
-def test_a_probe_moves_from_value_to_value(base: LinearizedFit) -> None:
-    """Of a play, two parameters are refined, one after the other."""
-    play = of(base, "backlash", 1)
-    wider = play.at({**play.nonlinear_values, "width": 0.01})
-    both = wider.at({**wider.nonlinear_values, "motor_friction": 0.4})
-    assert both.nonlinear_values == {"width": 0.01, "motor_friction": 0.4}
-
-
 @pytest.mark.parametrize("index", range(7))
 def test_a_probe_is_least_squares_with_its_columns(base: LinearizedFit, rows: Stacked, index: int) -> None:
     """Gains and coefficients, their jackknife covariance, and the information that the model's columns leave."""
