@@ -8,7 +8,7 @@ predicted torque by its parameter, in units of the measured torque.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Probe:
 
     def at(self, nonlinear_values: Mapping[str, float]) -> Probe:
         """The probe at other nonlinear values."""
-        return replace(self.rebuild(nonlinear_values), rebuild=self.rebuild) if self.rebuild else self
+        return self.rebuild(nonlinear_values) if self.rebuild else self
 
     @property
     def complexity(self) -> int:
