@@ -109,7 +109,11 @@ def find_pairs(
     """
     base = selection.base
     summary = summarize_data(base, fixed_inertia=has_fixed_inertia(base.experiment))
-    for joint in _joints_above_noise(base, progress):
+    try:
+        joints = _joints_above_noise(base, progress)
+    except FAILURES:
+        return
+    for joint in joints:
         for pair in _screen_pairs(selection, joint, progress)[:_MAX_FITS]:
             try:
                 fitted = _fit_pair(pair, base, initial, summary, movable, progress)

@@ -248,17 +248,36 @@ def test_two_effects_that_a_round_rejects_are_found_together(tmp_path: Path, mon
         assert all(one.effect != effect.chosen.effect or one.target != "j1" for one in effect.selection.rejected)
 
 
-def test_a_pair_that_cannot_be_fitted_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("failing", ["fit_trial", "estimate_noise_floor"])
+def test_a_pair_that_cannot_be_judged_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: str
+) -> None:
     def fail(*arguments: Any) -> Any:
         raise SolverError("solver", "as this test wants it")
 
     drag = torque_on_joint(0, lambda t, q, v, tau: 0.3 * v * np.abs(v))
     experiment = experiment_of(tmp_path, together(dry_friction, drag), rows=slice(8000))
     monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
-    monkeypatch.setattr(effect_pair, "fit_trial", fail)
+    monkeypatch.setattr(effect_pair, failing, fail)
     search = EffectSearch(experiment, ("coulomb_friction", "quadratic_drag"), 4, silent)
     search.run()
     assert (owners(search), search.stopped) == ([], "")
+
+
+def test_pairs_are_sought_only_where_more_than_noise_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two effects are missing on the first of two joints."""
+    screened = []
+
+    def record(selection: Any, joint: str, progress: Any) -> list[Any]:
+        screened.append(joint)
+        return []
+
+    drag = torque_on_joint(0, lambda t, q, v, tau: 0.3 * v * np.abs(v))
+    experiment = experiment_of(tmp_path, together(dry_friction, drag))
+    monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
+    monkeypatch.setattr(effect_pair, "_screen_pairs", record)
+    EffectSearch(experiment, ("coulomb_friction", "quadratic_drag"), 4, silent)._add_effects()
+    assert screened == ["j1"]
 
 
 def test_parameters_that_cannot_be_freed_stay_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
