@@ -31,9 +31,9 @@ _MAX_HELD_OUT_RATIO = 1.01  # ratio of the squared residuals of held-out data, w
 _MAX_LOSS_SHARE = 0.2  # largest ratio of the loss in some blocks to the gain in others
 _MIN_PARAMETER_SIGNIFICANCE = 2.5  # least ratio of an optional parameter to its standard error, to be kept
 _ACCURACY_OF_EFFECTS = 0.01  # at best: what is left of a strong effect is this share of its torque
-_MIN_SHARE_OF_TORQUE = 5e-3  # of a joint's rms torque, that an effect must have to be named
-_MIN_SHARE_OF_TORQUE_RELAXED = 3e-3  # likewise, if it explains nearly all that is left, or is not reported
-_MIN_SHARE_OF_TORQUE_AT_ALL = 1e-3  # likewise, if it leaves nothing
+_MIN_SHARE_OF_TORQUE = 5e-3  # of a joint's rms torque, that a reported effect must explain
+_MIN_SHARE_OF_TORQUE_RELAXED = 3e-3  # of it, that one must explain which is not reported, or explains `NEARLY_ALL`
+_MIN_SHARE_OF_TORQUE_AT_ALL = 1e-3  # of it, that one must explain which leaves nothing above the noise
 NEARLY_ALL = 0.9  # of a joint's squared residual above its noise
 _TOO_SMALL = "explains less than the effects found before are uncertain by, or a negligible part of the torque"
 _RANGE_EDGE_RATIO = 1.02  # ratio to an end of a range, up to which a value is at that end
@@ -257,22 +257,33 @@ def rejection_reason(
 
 
 def _is_too_small(candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, progress: Progress) -> bool:
-    """True if an effect explains too little to be named, or to be fitted if it is not named."""
+    """True if an effect explains a negligible part of the torque."""
     fit = candidate.trial.linearized
     joint = candidate.probe.joint
     if _explains_enough(fit, base, initial, _MIN_SHARE_OF_TORQUE):
         return False
     if not is_reportable(candidate.probe.effect):
         return not _explains_enough(fit, base, initial, _MIN_SHARE_OF_TORQUE_RELAXED)
+    # without the noise floor, which takes time
     if joint is None or not _explains_enough(fit, base, initial, _MIN_SHARE_OF_TORQUE_AT_ALL):
         return True
     explained = explained_share_above_noise(base, fit, joint, progress)
+    return not _explains_enough(fit, base, initial, _min_share_of_torque(explained))
+
+
+def _min_share_of_torque(explained: float) -> float:
+    """Share of a joint's rms torque that a reported effect must explain: the less it leaves, the smaller it may be.
+
+    Parameters
+    ----------
+    explained
+        Share of the joint's squared residual above the noise that it explains.
+    """
     if explained <= NEARLY_ALL:
-        return True
-    # the less it leaves, the smaller it may be
-    unexplained_ratio = max(1 - explained, 0.0) / (1 - NEARLY_ALL)
-    min_share = max(_MIN_SHARE_OF_TORQUE_RELAXED * np.sqrt(unexplained_ratio), _MIN_SHARE_OF_TORQUE_AT_ALL)
-    return not _explains_enough(fit, base, initial, min_share)
+        return _MIN_SHARE_OF_TORQUE
+    unexplained = max(1 - explained, 0.0)
+    rms_ratio = np.sqrt(unexplained / (1 - NEARLY_ALL))
+    return max(_MIN_SHARE_OF_TORQUE_RELAXED * float(rms_ratio), _MIN_SHARE_OF_TORQUE_AT_ALL)
 
 
 def implausibility(fit: LinearizedFit, entry: EffectEntry, summary: DataSummary) -> str:
@@ -385,11 +396,13 @@ def _explains_enough(fit: LinearizedFit, base: LinearizedFit, initial: Linearize
       effect is no effect of its own.
     - The square of a share, ``min_share``, of the joint's rms torque.
     """
-    # both in units of the base's noise: a fit that uses or rescales the measured torque has another noise of its own
-    saved = (base.sse - fit.sse).sum(axis=0) * np.square(base.noise)
-    uncertain = _ACCURACY_OF_EFFECTS**2 * initial.sse.sum(axis=0) * np.square(initial.noise)
+    # both fits in units of the base's noise: one that uses or rescales the measured torque has another noise of its own
+    decrease = (base.sse - fit.sse).sum(axis=0) * np.square(base.noise)
+    initial_squares = initial.sse.sum(axis=0) * np.square(initial.noise)
+    uncertain = _ACCURACY_OF_EFFECTS**2 * initial_squares
     negligible = base.row_counts.sum(axis=0) * np.square(min_share * base.rms_torque)
-    return bool((saved > np.maximum(uncertain, negligible)).any())
+    is_enough = decrease > np.maximum(uncertain, negligible)
+    return bool(is_enough.any())
 
 
 def explained_share_above_noise(before: LinearizedFit, after: LinearizedFit, joint: str, progress: Progress) -> float:
@@ -406,7 +419,7 @@ def explained_share_above_noise(before: LinearizedFit, after: LinearizedFit, joi
 
     Returns
     -------
-    The share, of 1; 0 if the noise of the joint is not known.
+    The share, of 1; 0 if the noise of the joint is not known, or nothing is above it.
     """
     floors = []
     for fit in (before, after):
@@ -416,4 +429,5 @@ def explained_share_above_noise(before: LinearizedFit, after: LinearizedFit, joi
         return 0.0
     square_before, square_after = (float(floor.residual[j]) ** 2 for floor in floors)
     noise_square = min(float(floor.noise[j]) for floor in floors) ** 2
-    return (square_before - square_after) / max(square_before - noise_square, np.finfo(float).tiny)
+    above_noise = square_before - noise_square
+    return (square_before - square_after) / above_noise if above_noise > 0 else 0.0

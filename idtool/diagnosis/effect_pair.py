@@ -124,12 +124,12 @@ def find_pairs(
 
 
 def _joints_above_noise(base: LinearizedFit, progress: Progress) -> list[str]:
-    """Joints of whose squared residual more is above the noise than an effect must explain."""
+    """Joints whose squared residual exceeds the noise by at least the share of it that an effect must explain."""
     floor = estimate_noise_floor(base.experiment, base.theta, progress, base.reversal_margin)
     residual_square = np.square(floor.residual)
-    is_above = residual_square - np.square(floor.noise) > MIN_SHARE * residual_square
-    is_chosen = floor.is_joint_estimated & is_above
-    return [joint for joint, chosen in zip(base.experiment.equation.joints, is_chosen, strict=True) if chosen]
+    excess = residual_square - np.square(floor.noise)
+    is_above_noise = floor.is_joint_estimated & (excess > MIN_SHARE * residual_square)
+    return [name for name, is_above in zip(base.experiment.equation.joints, is_above_noise, strict=True) if is_above]
 
 
 def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> list[_ScreenedPair]:
