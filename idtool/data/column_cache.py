@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
+from hashlib import blake2b
 
 from typing_extensions import override
 
@@ -50,20 +51,20 @@ class ColumnCache:
 
 @dataclass(frozen=True, eq=False)
 class KeptColumns:
-    """Columns along one batch's motion, by what they are columns of.
+    """Columns along one motion, by what they are columns of.
 
     Attributes
     ----------
     cache
         The cache that holds them.
-    batch
-        Number of the batch.
+    motion
+        Key of the motion.
     q, v, a
         The motion, shape (nv, N).
     """
 
     cache: ColumnCache
-    batch: int
+    motion: Hashable
     q: Array
     v: Array
     a: Array
@@ -72,13 +73,28 @@ class KeptColumns:
         """True if these are the very arrays of the motion."""
         return q is self.q and v is self.v and a is self.a
 
+    def along(self, q: Array, v: Array, a: Array, others: Iterable[Array] = ()) -> KeptColumns:
+        """Columns along a corrected motion of the batch, kept for all models whose correction is the same.
+
+        Parameters
+        ----------
+        q, v, a
+            The corrected motion, shape (nv, N).
+        others
+            What the columns depend on beside it.
+        """
+        digest = blake2b()
+        for array in (q, v, a, *others):
+            digest.update(array.tobytes())
+        return KeptColumns(self.cache, (self.motion, digest.digest()), q, v, a)
+
     def find(self, key: Hashable) -> tuple[Array, ...] | None:
         """Arrays of a key, which must not be changed; None if they are not there."""
-        return self.cache.find((self.batch, key))
+        return self.cache.find((self.motion, key))
 
     def keep(self, key: Hashable, arrays: tuple[Array, ...]) -> None:
         """Keep arrays under a key, in place of those it may have."""
-        self.cache.keep((self.batch, key), arrays)
+        self.cache.keep((self.motion, key), arrays)
 
     def get(self, key: Hashable, evaluate: Callable[[], Iterable[Array]]) -> tuple[Array, ...]:
         """Arrays of a key, which must not be changed; evaluated if they are not there."""

@@ -126,9 +126,7 @@ def find_pairs(
 def _joints_above_noise(base: LinearizedFit, progress: Progress) -> list[str]:
     """Joints whose squared residual exceeds the noise by at least the share of it that an effect must explain."""
     floor = estimate_noise_floor(base.experiment, base.theta, progress, base.reversal_margin)
-    residual_square = np.square(floor.residual)
-    excess = residual_square - np.square(floor.noise)
-    is_above_noise = floor.is_joint_estimated & (excess > MIN_SHARE * residual_square)
+    is_above_noise = floor.share_above_noise > MIN_SHARE  # False where the noise is not known
     return [name for name, is_above in zip(base.experiment.equation.joints, is_above_noise, strict=True) if is_above]
 
 

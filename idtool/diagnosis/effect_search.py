@@ -39,7 +39,7 @@ from idtool.diagnosis.model_selection import (
 )
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN, joints_clearer_away_from_reversals
 from idtool.diagnosis.screen import sum_standard_error
-from idtool.diagnosis.selection_round import Bursts, find_best_effect, fit_assumed_effect
+from idtool.diagnosis.selection_round import Bursts, find_best_effect, fit_assumed_effect, joints_with_noise_only
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, failure_reason, has_fixed_inertia, with_effects
 from idtool.diagnosis.unproven import find_unproven
@@ -50,6 +50,7 @@ from idtool.robot.config import EffectEntry
 
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
 _MAX_REPLACEMENTS = 3
+_MAX_SLOW_POWER_RATIO = 5.0  # of coloured noise: where a residual has less, nothing explains more than the effect there
 _MIN_REPLACEMENT_GAIN = 2.0  # standard errors by which a model must be better to replace another
 
 
@@ -400,8 +401,16 @@ class EffectSearch:
                 return
 
     def _replace_one(self) -> bool:
-        """Replace an effect by one that explains more; False if none does."""
-        return self._replace_first([(effect,) for effect in self.reported])
+        """Replace an effect by one that explains more, where more than noise is left; False if none does."""
+        with_noise_only = joints_with_noise_only(self.current, self.progress, _MAX_SLOW_POWER_RATIO)
+        unexplained = set(self.current.experiment.equation.joints) - with_noise_only
+        choices = []
+        for effect in self.reported:
+            joint = effect.chosen.joint
+            is_choice = joint in unexplained if joint is not None else bool(unexplained)
+            if is_choice:
+                choices.append((effect,))
+        return self._replace_first(choices)
 
     def _replace_two(self) -> bool:
         """Replace two effects by one that explains as much; False if none does."""
@@ -458,8 +467,15 @@ class EffectSearch:
             return False
         without = self.current
         try:
+            on_same_rows = linearize_fit(before.experiment, self.progress, without)
             selection = find_best_effect(
-                without, self.initial, self.progress, self._effects, self._bursts(), movable=self.model.movable
+                without,
+                self.initial,
+                self.progress,
+                self._effects,
+                self._bursts(),
+                movable=self.model.movable,
+                gain_to_exceed=float(block_gains(without, on_same_rows).sum()),
             )
         except FAILURES:
             return False

@@ -7,9 +7,9 @@ white noise that is added to the measured torque.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import cycle
 
 import numpy as np
 
@@ -23,8 +23,8 @@ from idtool.estimation.dataset.experiment import Experiment
 _SAMPLES = 40_000  # by which a ratio of noises is known to about two hundredths
 _SEED = 0
 
-# change of the residual, unfiltered, by noise added to the torque, both of shape (nv, N)
-_ResidualChange = Callable[[Motion, Array], Array]
+# change of the residual, unfiltered, by noise added to the torque; both of shape (nv, N)
+_ResidualChange = Callable[[Array], Array]
 
 
 def noise_gain_of(experiment: Experiment, noise: Array) -> Array:
@@ -42,12 +42,10 @@ def noise_gain_of(experiment: Experiment, noise: Array) -> Array:
         return np.ones(len(noise))
     theta = equation.operating_theta
 
-    def residual_change(motion: Motion, white: Array) -> Array:
-        noisy = replace(motion, tau=motion.tau + white, kept_columns=None)  # needed only once
-        clean_residual = LinearizedModel(equation, theta, motion).residual
-        return LinearizedModel(equation, theta, noisy).residual - clean_residual
+    def residual_change_along(motion: Motion) -> _ResidualChange:
+        return LinearizedModel(equation, theta, motion).residual_change_by_noise
 
-    return _noise_gain(experiment, equation, noise, residual_change)
+    return _noise_gain(experiment, equation, noise, residual_change_along)
 
 
 def noise_gain_with_probe(experiment: Experiment, theta: Array, noise: Array, probe: Probe, c: Array) -> Array:
@@ -64,43 +62,58 @@ def noise_gain_with_probe(experiment: Experiment, theta: Array, noise: Array, pr
     """
     equation = experiment.equation
 
-    def residual_change(motion: Motion, white: Array) -> Array:
+    def residual_change_along(motion: Motion) -> _ResidualChange:
         model = LinearizedModel(equation, theta, motion)
         clean = model.true_motion
         clean_columns = probe.columns(clean, model)
-        noisy_columns = probe.columns(replace(clean, tau=clean.tau + white), model)
-        change = white.copy()
-        for joint, columns in noisy_columns.items():
-            change[joint] -= c @ (columns - clean_columns[joint])
-        return change
 
-    return _noise_gain(experiment, equation, noise, residual_change)
+        def residual_change(white: Array) -> Array:
+            noisy_columns = probe.columns(replace(clean, tau=clean.tau + white), model)
+            change = white.copy()
+            for joint, columns in noisy_columns.items():
+                change[joint] -= c @ (columns - clean_columns[joint])
+            return change
+
+        return residual_change
+
+    return _noise_gain(experiment, equation, noise, residual_change_along)
 
 
-def _noise_gain(experiment: Experiment, equation: LinearModel, noise: Array, residual_change: _ResidualChange) -> Array:
+def _noise_gain(
+    experiment: Experiment,
+    equation: LinearModel,
+    noise: Array,
+    residual_change_along: Callable[[Motion], _ResidualChange],
+) -> Array:
     """Rms of the residual's change over that of the noise added, at most 1, shape (nv,)."""
     rng = np.random.default_rng(_SEED)
     noise_squares = np.zeros(len(noise))
     remaining_squares = np.zeros(len(noise))
-    for batch in _repeated_training_batches(experiment):
+    training_samples = sum(part.stop - part.start for run in experiment.runs for part in run.train)
+    repetitions = math.ceil(_SAMPLES / max(training_samples, 1))
+    for batch in _first_training_batches(experiment):
+        residual_change = residual_change_along(batch.motion)
         passed_share = np.linalg.norm(batch.low_pass.kernel)  # of the rms of white noise
-        white = rng.standard_normal(batch.motion.tau.shape) * (noise / passed_share)[:, None]
-        filtered_noise = batch.filter(white)
-        filtered_change = batch.filter(residual_change(batch.motion, white))
-        for j, mask in enumerate(equation.clean_samples(batch)):
-            noise_squares[j] += np.square(filtered_noise[j, mask]).sum()
-            remaining_squares[j] += np.square(filtered_change[j, mask]).sum()
+        masks = equation.clean_samples(batch)
+        for _ in range(repetitions):
+            white = rng.standard_normal(batch.motion.tau.shape) * (noise / passed_share)[:, None]
+            filtered_noise = batch.filter(white)
+            filtered_change = batch.filter(residual_change(white))
+            for j, mask in enumerate(masks):
+                noise_squares[j] += np.square(filtered_noise[j, mask]).sum()
+                remaining_squares[j] += np.square(filtered_change[j, mask]).sum()
     gain = np.ones(len(noise))
     known = noise_squares > 0
     gain[known] = np.minimum(np.sqrt(remaining_squares[known] / noise_squares[known]), 1.0)
     return gain
 
 
-def _repeated_training_batches(experiment: Experiment) -> Iterator[Batch]:
-    """Training data, from the start again when it ends, until there is enough to know the noise."""
-    runs = [run for run in experiment.runs if run.train]
+def _first_training_batches(experiment: Experiment) -> Iterator[Batch]:
+    """Training data, until there is enough to know the noise."""
     count = 0
-    for run in cycle(runs):
+    for run in experiment.runs:
+        if not run.train:
+            continue
         for batch in experiment.batches(run, held_out=False):
             yield batch
             count += len(batch.motion.t)

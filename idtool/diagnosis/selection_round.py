@@ -33,6 +33,7 @@ from idtool.diagnosis.model_selection import (
     screened_record,
     select_best,
 )
+from idtool.diagnosis.noise_floor import estimate_noise_floor
 from idtool.diagnosis.noise_gain import noise_gain_with_probe
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
@@ -41,6 +42,7 @@ from idtool.diagnosis.trial import FAILURES, has_fixed_inertia, with_nonlinear_p
 from idtool.diagnosis.trial_transfer import trial_from_bytes, trial_to_bytes
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import Burst, DataSummary
+from idtool.dynamics.effects.fixed_effect import FixedEffect
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
@@ -54,6 +56,8 @@ _REFINEMENT_POINTS = 7  # values that are screened again between the neighbours 
 _MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, those that are then rejected included
 _MIN_GAIN_RATIO = 0.4  # to the gain of the best accepted candidate, for a candidate to be fitted
 _MIN_FIRST_ORDER_GAIN_RATIO = 0.2  # likewise, where a fit may explain much more than the screening
+_MAX_SLOW_POWER_RATIO = 2.0  # power of white noise at the motion's frequencies over that expected from higher ones
+_MIN_REPLACING_GAIN_RATIO = 0.75  # to the gain of what a candidate is to replace, where a fit explains what it promises
 
 
 def find_best_effect(
@@ -65,6 +69,7 @@ def find_best_effect(
     min_share: float = MIN_SHARE,
     skipped: Container[ProbeKey] = (),
     movable: Sequence[int] = (),
+    gain_to_exceed: float = 0.0,
 ) -> SelectionStep:
     """Search for the effect that explains most of a model's residual: one round.
 
@@ -86,28 +91,73 @@ def find_best_effect(
         Keys of candidates that are not tried.
     movable
         Indices of the model's effects whose nonlinear parameters may be moved.
+    gain_to_exceed
+        Gain of what an effect is to replace; candidates that cannot reach it are not fitted.
     """
     summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
+    quiet_joints = joints_with_noise_only(base, progress)
     reference = with_nonlinear_parameters_free(base, movable, progress)
-    screening = _screen_all(reference, summary, effects, skipped, progress)
-    candidates = _refine(reference, screening.screened, progress)
+    screening = _screen_all(reference, summary, effects, quiet_joints, skipped, progress)
+    refined = _refine(reference, screening.screened, progress)
+    candidates = [candidate for candidate in refined if _may_exceed(candidate, gain_to_exceed)]
     fits = _fit_best_candidates(base, initial, candidates, summary, screening.inflation, movable, progress)
     return select_best(base, screening, fits, movable, progress, min_share)
+
+
+def joints_with_noise_only(
+    fit: LinearizedFit, progress: Progress, max_slow_power_ratio: float = _MAX_SLOW_POWER_RATIO
+) -> frozenset[str]:
+    """Joints whose residual leaves nothing to explain; none if the noise is not known.
+
+    Either less of its square is above the noise than an effect must explain, or its power at the motion's frequencies
+    is about what that at higher ones suggests.
+
+    Parameters
+    ----------
+    fit
+        The model.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    max_slow_power_ratio
+        Ratio of the residual's power at the motion's frequencies to that of its noise, up to which it is noise.
+    """
+    try:
+        floor = estimate_noise_floor(fit.experiment, fit.theta, progress, fit.reversal_margin)
+    except FAILURES:
+        return frozenset()
+    is_small = floor.share_above_noise < MIN_SHARE  # False where the noise is not known
+    is_flat = floor.is_joint_estimated & (floor.slow_power_ratio < max_slow_power_ratio)
+    joints = fit.experiment.equation.joints
+    return frozenset(joints[j] for j in np.flatnonzero(is_small | is_flat))
 
 
 def _screen_all(
     reference: LinearizedFit,
     summary: DataSummary,
     effects: Sequence[str] | None,
+    quiet_joints: Container[str],
     skipped: Container[ProbeKey],
     progress: Progress,
 ) -> Screening:
-    """All candidates but the skipped ones, screened on the effects' own grids of nonlinear values."""
-    candidates, not_built = _candidate_probes(summary, effects)
-    probes = [probe for probe in candidates if probe_key(probe) not in skipped]
+    """All candidates but the skipped ones, screened on the effects' own grids of nonlinear values.
+
+    On joints with nothing but noise, of which no effect explains much, one probe stands for its whole grid.
+    """
+    all_probes, not_built = _candidate_probes(summary, effects)
+    grids: dict[ProbeKey, list[Probe]] = {}
+    for probe in all_probes:
+        if probe_key(probe) not in skipped:
+            grids.setdefault(probe_key(probe), []).append(probe)
+    probes = []
+    weights = []
+    for grid in grids.values():
+        is_quiet = grid[0].joint in quiet_joints
+        tried = grid[len(grid) // 2 :][:1] if is_quiet else grid
+        probes += tried
+        weights += [len(grid) / len(tried)] * len(tried)
     screened = screen_probes(reference, probes, progress)
     failed = [*not_built, *_screening_failures(reference, screened)]
-    return Screening(reference, screened, failed, _row_inflation(reference, screened))
+    return Screening(reference, screened, failed, _row_inflation(reference, screened, weights))
 
 
 def _refine(reference: LinearizedFit, screened: Sequence[ScreenedProbe], progress: Progress) -> list[ScreenedProbe]:
@@ -242,6 +292,13 @@ def _min_gain_ratio(candidate: ScreenedProbe) -> float:
     return _MIN_FIRST_ORDER_GAIN_RATIO if is_first_order else _MIN_GAIN_RATIO
 
 
+def _may_exceed(candidate: ScreenedProbe, gain: float) -> bool:
+    """True if the fit of a candidate may explain more than a gain."""
+    has_coefficients = not issubclass(effect_types()[candidate.probe.effect], FixedEffect)
+    min_ratio = _MIN_REPLACING_GAIN_RATIO if has_coefficients else _min_gain_ratio(candidate)
+    return candidate.gain > min_ratio * gain
+
+
 def _without_cancelled_noise(candidate: ScreenedProbe, base: LinearizedFit) -> ScreenedProbe:
     """Candidate with the most that its gains can be without noise of the measured torque that it cancels."""
     if not effect_types()[candidate.probe.effect].uses_measured_torque:
@@ -287,7 +344,7 @@ def fit_assumed_effect(
             break
         except FAILURES:
             continue
-    return SelectionStep(base, winner, (), (), (), _row_inflation(base, screened))
+    return SelectionStep(base, winner, (), (), (), _row_inflation(base, screened, [1.0] * len(screened)))
 
 
 def _candidate_probes(summary: DataSummary, effects: Sequence[str] | None) -> tuple[list[Probe], list[Candidate]]:
@@ -334,14 +391,19 @@ def _screening_failures(base: LinearizedFit, screened: Sequence[ScreenedProbe]) 
     return list(failures.values())
 
 
-def _row_inflation(base: LinearizedFit, screened: Iterable[ScreenedProbe]) -> float:
-    """Number of rows that are worth one independent row: the median over all probes.
+def _row_inflation(base: LinearizedFit, screened: Sequence[ScreenedProbe], weights: Sequence[float]) -> float:
+    """Number of rows that are worth one independent row: the median over all probes, by their weights.
 
     It is at least that of white noise after the filter.
     """
     redundancy = base.experiment.runs[0].signals.low_pass.redundancy
-    inflations = [probe.inflation for probe in screened if np.isfinite(probe.inflation) and probe.inflation > 0]
-    return float(max(np.median(inflations), redundancy)) if inflations else redundancy
+    inflations = np.array([probe.inflation for probe in screened])
+    is_known = np.isfinite(inflations) & (inflations > 0)
+    if not is_known.any():
+        return redundancy
+    known_weights = np.array(weights)[is_known]
+    median = np.quantile(inflations[is_known], 0.5, weights=known_weights, method="inverted_cdf")
+    return max(float(median), redundancy)
 
 
 def _promising(screened: Iterable[ScreenedProbe]) -> list[ScreenedProbe]:

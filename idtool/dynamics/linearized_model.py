@@ -8,14 +8,15 @@ Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.data.column_cache import KeptColumns
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects import Coefficient, Effect, NamedEffect, RigidBodies
 from idtool.dynamics.effects.joint_term import DryFriction
@@ -50,6 +51,9 @@ class TorqueEquation(Protocol):
 
     def residual(self, motion: Motion, theta: Array) -> Array:
         """Torque less columns · theta, unfiltered, shape (nv, N)."""
+
+    def torque_of_bodies(self, true_motion: Motion, theta: Array) -> Array:
+        """Torque that all effects but rigid bodies leave for these, unfiltered, shape (nv, N)."""
 
     def undefined_shares(self, batch: Batch) -> tuple[Array, Array]:
         """Shares of each filtered sample's weight that come from samples where a column is undefined."""
@@ -94,10 +98,36 @@ class LinearizedModel:
 
     def torque_change_by_motion(self, joint: int, dq: Array, dv: Array, da: Array) -> Array:
         """First-order change of the torque where a joint's link, without its rotors, moves by dq, dv and da."""
-        change = -np.outer(self._rotor_inertia[joint], da)  # rotors stay with the motor
+        rotor_torque = np.outer(self._rotor_inertia[joint], da)  # rotors stay with the motor
+        return self._rigid_body_torque_change(joint, dq, dv, da) - rotor_torque
+
+    def _rigid_body_torque_change(self, joint: int, dq: Array, dv: Array, da: Array) -> Array:
+        """First-order change of the rigid bodies' torque where a joint moves by dq, dv and da, shape (nv, N)."""
+        change = np.zeros_like(self.true_motion.q)
         for name, displacement in zip("qva", (dq, dv, da), strict=True):
             if displacement.any():
                 change += self._derivative(name, joint) * displacement
+        return change
+
+    def residual_change_by_noise(self, noise: Array) -> Array:
+        """Change of the residual with noise in the measured torque, shape (nv, N).
+
+        The motion changes so little with it that the rigid bodies' torque is taken to first order.
+
+        Parameters
+        ----------
+        noise
+            Noise of each joint's torque, shape (nv, N) [N·m or N].
+        """
+        measured = self.measured_motion
+        noisy_measured = replace(measured, tau=measured.tau + noise, kept_columns=None)  # needed only once
+        noisy = self.equation.true_motion(noisy_measured)
+        true = self.true_motion
+        noisy_torque = self.equation.torque_of_bodies(noisy, self.theta)
+        change = noisy_torque - self.equation.torque_of_bodies(true, self.theta)
+        for joint in range(len(true.q)):
+            dq, dv, da = (getattr(noisy, name)[joint] - getattr(true, name)[joint] for name in "qva")
+            change -= self._rigid_body_torque_change(joint, dq, dv, da)
         return change
 
     def torque_change_by_gravity(self, change: Array) -> Array:
@@ -120,7 +150,7 @@ class LinearizedModel:
         if joint not in self._friction_torques:
             total = np.zeros(len(self.true_motion.t))
             for effect, theta in self._frictions_of(joint):
-                total += theta @ effect_columns(effect, self.true_motion)[joint]
+                total += theta @ kept_effect_columns(effect, self.true_motion)[joint]
             self._friction_torques[joint] = total
         return self._friction_torques[joint]
 
@@ -130,7 +160,7 @@ class LinearizedModel:
         level = np.zeros(len(self.true_motion.t))
         for effect, theta in self._frictions_of(joint):
             if isinstance(effect, DryFriction):
-                torque += theta @ effect_columns(effect, self.true_motion)[joint]
+                torque += theta @ kept_effect_columns(effect, self.true_motion)[joint]
                 level += theta[0] * effect.level(self.true_motion)
         return torque, np.maximum(level, 0.0)
 
@@ -141,7 +171,7 @@ class LinearizedModel:
             if isinstance(effect, DryFriction):
                 level += np.abs(theta[0] * effect.level(self.true_motion))
             else:
-                level += np.abs(theta @ effect_columns(effect, self.true_motion)[joint])
+                level += np.abs(theta @ kept_effect_columns(effect, self.true_motion)[joint])
         return level
 
     def added_rotor_inertia(self, joint: int) -> float:
@@ -235,3 +265,18 @@ def effect_columns(effect: Effect, motion: Motion) -> list[Array]:
     columns = [np.empty((len(active), len(motion.t))) for active in effect.active]
     effect.columns(motion, columns)
     return columns
+
+
+def kept_effect_columns(effect: Effect, motion: Motion) -> Sequence[Array]:
+    """`effect_columns`, which must not be changed: those kept from an earlier model where there are."""
+    kept = kept_columns_of(effect, motion)
+    evaluate = partial(effect_columns, effect, motion)
+    return evaluate() if kept is None else kept.get(("unfiltered", effect.column_key), evaluate)
+
+
+def kept_columns_of(effect: Effect, motion: Motion) -> KeptColumns | None:
+    """Store for columns of an effect along a motion; None if they depend on more than q, v and a of the batch."""
+    kept = motion.kept_columns
+    if kept is None or effect.column_key is None or not kept.are_along(motion.q, motion.v, motion.a):
+        return None
+    return kept

@@ -9,20 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 from scipy import ndimage
 
 from idtool.common.arrays import Array, Indices, Mask
-from idtool.data.column_cache import IdentityKey, KeptColumns
+from idtool.data.column_cache import IdentityKey
 from idtool.data.signals import Batch, Motion, reversals
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NamedEffect
 from idtool.dynamics.effects.rigid_body import RigidBodies
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
-from idtool.dynamics.linearized_model import LinearizedModel, effect_columns
+from idtool.dynamics.linearized_model import LinearizedModel, effect_columns, kept_columns_of, kept_effect_columns
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.model import RobotModel
 
@@ -160,10 +159,27 @@ class LinearModel:
             Coefficients, shape (p,).
         """
         true = self.true_motion(motion)
-        residual = self._identified_torque(true).copy()
+        residual = self.torque_of_bodies(true, theta)
         for effect, part in self.effect_slices():
-            residual -= _torque(effect, theta[part], true)
+            if isinstance(effect, RigidBodies):
+                residual -= _rigid_body_torque(effect, theta[part], true)
         return residual
+
+    def torque_of_bodies(self, true_motion: Motion, theta: Array) -> Array:
+        """Torque that all effects but rigid bodies leave for these, unfiltered, shape (nv, N) [N·m or N].
+
+        Parameters
+        ----------
+        true_motion
+            N samples, as the effects correct them.
+        theta
+            Coefficients, shape (p,).
+        """
+        torque = self._identified_torque(true_motion).copy()
+        for effect, part in self.effect_slices():
+            if not isinstance(effect, RigidBodies):
+                torque -= _torque(effect, theta[part], true_motion)
+        return torque
 
     def filtered_columns(self, batch: Batch) -> list[Array]:
         """Filtered columns and torque of all samples, per joint; shape (m_j + 1, n) each, the torque last."""
@@ -195,7 +211,11 @@ class LinearModel:
     def _corrected(self, motion: Motion) -> Motion:
         for effect in self.effects:
             motion = effect.correct_motion(motion)
-        return motion
+        kept = motion.kept_columns
+        if kept is None or kept.are_along(motion.q, motion.v, motion.a):
+            return motion
+        kept_along_corrected = kept.along(motion.q, motion.v, motion.a, motion.motor_minus_link.values())
+        return replace(motion, kept_columns=kept_along_corrected)
 
     def _identified_torque(self, motion: Motion) -> Array:
         """Torque of a true motion less that without a coefficient, shape (nv, N)."""
@@ -396,12 +416,17 @@ class LinearModel:
 
 def _torque(effect: Effect, theta: Array, motion: Motion) -> Array:
     """Torque of an effect with its coefficients, shape (m,), along a true motion; shape (nv, N)."""
-    if isinstance(effect, RigidBodies):
-        return effect.torque(theta, motion)
-    kept = _kept_columns(effect, motion)
-    evaluate = partial(effect_columns, effect, motion)
-    columns = evaluate() if kept is None else kept.get(("unfiltered", effect.column_key), evaluate)
+    columns = kept_effect_columns(effect, motion)
     return np.stack([theta[active] @ own for active, own in zip(effect.active, columns, strict=True)])
+
+
+def _rigid_body_torque(bodies: RigidBodies, theta: Array, motion: Motion) -> Array:
+    """Torque of rigid bodies with their coefficients, shape (m,), along a true motion; kept if it can be."""
+    kept = kept_columns_of(bodies, motion)
+    if kept is None:
+        return bodies.torque(theta, motion)
+    (torque,) = kept.get(("torque", bodies.column_key, theta.tobytes()), lambda: (bodies.torque(theta, motion),))
+    return torque
 
 
 def _filtered_columns(effect: Effect, motion: Motion, batch: Batch) -> Sequence[Array]:
@@ -413,13 +438,5 @@ def _filtered_columns(effect: Effect, motion: Motion, batch: Batch) -> Sequence[
             filtered.append(batch.filter(columns) if len(columns) else np.empty((0, len(batch.t))))
         return filtered
 
-    kept = _kept_columns(effect, motion)
+    kept = kept_columns_of(effect, motion)
     return evaluate() if kept is None else kept.get(("filtered", effect.column_key), evaluate)
-
-
-def _kept_columns(effect: Effect, motion: Motion) -> KeptColumns | None:
-    """Store for columns of an effect along a motion; None if they depend on more than q, v and a of the batch."""
-    kept = motion.kept_columns
-    if kept is None or effect.column_key is None or not kept.are_along(motion.q, motion.v, motion.a):
-        return None
-    return kept

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -113,8 +114,46 @@ def test_what_was_found_beside_the_same_effects_is_not_searched_for_again(
         return inner(base, *others, **options)
 
     monkeypatch.setattr(effect_search, "find_best_effect", find_best_effect)
+    search._replace_one()
+    assert searched == []  # where only noise is left, nothing explains more
+    monkeypatch.setattr(effect_search, "joints_with_noise_only", lambda *arguments: frozenset())
     search._replace_effects()
     assert searched == [[owners(search)[1]]]
+
+
+def test_where_there_is_only_noise_one_value_of_each_parameter_is_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Friction is missing on the first of two joints, and the second has nothing but noise."""
+    effects = ("coulomb_friction", "stribeck_friction", "end_stop")
+
+    def count_of_probes() -> Counter[tuple[str, str | None]]:
+        search = EffectSearch(experiment_of(tmp_path, dry_friction), effects, 4, silent)
+        monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
+        selection = selection_round.find_best_effect(search.current, search.initial, silent, effects)
+        assert selection.screening is not None
+        probes = [one.probe for one in selection.screening.screened]
+        return Counter((probe.effect, probe.joint) for probe in probes)
+
+    count = count_of_probes()
+    assert count["end_stop", "j1"] > count["end_stop", "j2"] == 1
+    assert count["coulomb_friction", "j1"] == count["coulomb_friction", "j2"] == 1
+
+    def fail(*arguments: Any) -> Any:
+        raise SolverError("solver", "as this test wants it")
+
+    monkeypatch.setattr(selection_round, "estimate_noise_floor", fail)
+    whole = count_of_probes()
+    assert whole["end_stop", "j1"] == whole["end_stop", "j2"] == count["end_stop", "j1"]
+
+
+def test_a_probe_that_stands_for_a_grid_counts_as_that_many(tmp_path: Path) -> None:
+    search = EffectSearch(experiment_of(tmp_path, spring, rows=slice(8000)), ("parallel_spring",), 4, silent)
+    selection = selection_round.find_best_effect(search.current, search.initial, silent, ("parallel_spring",))
+    assert selection.winner is not None
+    probes = [replace(selection.winner.screened, inflation=inflation) for inflation in (20.0, 30.0, 9.0, np.nan)]
+    assert selection_round._row_inflation(search.current, probes, [1.0, 1.0, 1.0, 9.0]) == 20.0
+    assert selection_round._row_inflation(search.current, probes, [1.0, 1.0, 3.0, 9.0]) == 9.0
 
 
 def test_one_core_chooses_as_two_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
