@@ -23,7 +23,6 @@ from idtool.diagnosis.candidate_fit import (
 )
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import (
-    MIN_SHARE,
     MIN_SIGNIFICANCE,
     FittedCandidate,
     SelectionStep,
@@ -33,7 +32,7 @@ from idtool.diagnosis.model_selection import (
     is_reportable,
     is_worthwhile,
 )
-from idtool.diagnosis.noise_floor import estimate_noise_floor
+from idtool.diagnosis.quiet_joints import quiet_joints
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, has_fixed_inertia
@@ -109,11 +108,10 @@ def find_pairs(
     """
     base = selection.base
     summary = summarize_data(base, fixed_inertia=has_fixed_inertia(base.experiment))
-    try:
-        joints = _joints_above_noise(base, progress)
-    except FAILURES:
-        return
-    for joint in joints:
+    quiet = quiet_joints(base, progress)
+    for joint in base.experiment.equation.joints:
+        if joint in quiet:
+            continue
         for pair in _screen_pairs(selection, joint, progress)[:_MAX_FITS]:
             try:
                 fitted = _fit_pair(pair, base, initial, summary, movable, progress)
@@ -121,13 +119,6 @@ def find_pairs(
                 continue
             if fitted is not None:
                 yield fitted
-
-
-def _joints_above_noise(base: LinearizedFit, progress: Progress) -> list[str]:
-    """Joints whose squared residual exceeds the noise by at least the share of it that an effect must explain."""
-    floor = estimate_noise_floor(base.experiment, base.theta, progress, base.reversal_margin)
-    is_above_noise = floor.share_above_noise > MIN_SHARE  # False where the noise is not known
-    return [name for name, is_above in zip(base.experiment.equation.joints, is_above_noise, strict=True) if is_above]
 
 
 def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> list[_ScreenedPair]:

@@ -37,9 +37,10 @@ from idtool.diagnosis.model_selection import (
     probe_key,
     probe_target,
 )
+from idtool.diagnosis.quiet_joints import quiet_joints
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN, joints_clearer_away_from_reversals
 from idtool.diagnosis.screen import sum_standard_error
-from idtool.diagnosis.selection_round import Bursts, find_best_effect, fit_assumed_effect, joints_with_noise_only
+from idtool.diagnosis.selection_round import Bursts, find_best_effect, fit_assumed_effect
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, failure_reason, has_fixed_inertia, with_effects
 from idtool.diagnosis.unproven import find_unproven
@@ -50,7 +51,7 @@ from idtool.robot.config import EffectEntry
 
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
 _MAX_REPLACEMENTS = 3
-_MAX_SLOW_POWER_RATIO = 5.0  # of coloured noise: where a residual has less, nothing explains more than the effect there
+_MAX_SLOW_POWER_RATIO = 5.0  # of coloured noise, see `quiet_joints`: if all joints have less, no effect is replaced
 _MIN_REPLACEMENT_GAIN = 2.0  # standard errors by which a model must be better to replace another
 
 
@@ -401,16 +402,11 @@ class EffectSearch:
                 return
 
     def _replace_one(self) -> bool:
-        """Replace an effect by one that explains more, where more than noise is left; False if none does."""
-        with_noise_only = joints_with_noise_only(self.current, self.progress, _MAX_SLOW_POWER_RATIO)
-        unexplained = set(self.current.experiment.equation.joints) - with_noise_only
-        choices = []
-        for effect in self.reported:
-            joint = effect.chosen.joint
-            is_choice = joint in unexplained if joint is not None else bool(unexplained)
-            if is_choice:
-                choices.append((effect,))
-        return self._replace_first(choices)
+        """Replace an effect by one that explains more; False if none does, as where all joints are quiet."""
+        quiet = quiet_joints(self.current, self.progress, _MAX_SLOW_POWER_RATIO)
+        if quiet.issuperset(self.current.experiment.equation.joints):
+            return False
+        return self._replace_first([(effect,) for effect in self.reported])
 
     def _replace_two(self) -> bool:
         """Replace two effects by one that explains as much; False if none does."""
@@ -467,7 +463,7 @@ class EffectSearch:
             return False
         without = self.current
         try:
-            on_same_rows = linearize_fit(before.experiment, self.progress, without)
+            other = linearize_fit(before.experiment, self.progress, without)
             selection = find_best_effect(
                 without,
                 self.initial,
@@ -475,7 +471,7 @@ class EffectSearch:
                 self._effects,
                 self._bursts(),
                 movable=self.model.movable,
-                gain_to_exceed=float(block_gains(without, on_same_rows).sum()),
+                gain_to_exceed=float(block_gains(without, other).sum()),
             )
         except FAILURES:
             return False
@@ -486,23 +482,22 @@ class EffectSearch:
             return False
         if self._try_add(selection, winner):
             return False
-        return self._is_better(before, without, is_simpler=len(replaced) > 1)
+        return self._is_better(other, without, is_simpler=len(replaced) > 1)
 
-    def _is_better(self, before: LinearizedFit, without: LinearizedFit, is_simpler: bool) -> bool:
+    def _is_better(self, other: LinearizedFit, without: LinearizedFit, is_simpler: bool) -> bool:
         """True if the present model explains significantly more than another one; if simpler, not significantly less.
 
         Parameters
         ----------
-        before
-            The other model.
+        other
+            The other model, on the rows and in the units of the next.
         without
-            The model without the effects in which the two differ: they are compared on its rows and in its units.
+            The model without the effects in which the two differ.
         is_simpler
             True if the present model has fewer effects.
         """
         try:
             present = linearize_fit(self.current.experiment, self.progress, without)
-            other = linearize_fit(before.experiment, self.progress, without)
         except FAILURES:
             return False
         gains = block_gains(other, present)

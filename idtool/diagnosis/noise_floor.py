@@ -98,6 +98,7 @@ def estimate_noise_floor(
     progress: Progress,
     reversal_margin: float = 0.0,
     of_true_torque: bool = False,
+    on_training_data: bool = False,
 ) -> NoiseFloor:
     """Noise floor from the residual of a model, on the held-out data if there are any, else on the training data.
 
@@ -113,10 +114,13 @@ def estimate_noise_floor(
         Least distance in time from reversals at which a joint counts as moving [s].
     of_true_torque
         True for the residual of the true torque, False for that of the torque as errors are compared.
+    on_training_data
+        True to use the training data in any case.
     """
-    judged = _residual_samples(experiment, theta, experiment.has_held_out, reversal_margin, of_true_torque, progress)
+    held_out = experiment.has_held_out and not on_training_data
+    judged = _residual_samples(experiment, theta, held_out, reversal_margin, of_true_torque, progress)
     periodograms = judged.periodograms
-    if experiment.has_held_out and not any(map(_suffice, periodograms)):
+    if held_out and not any(map(_suffice, periodograms)):
         # noise is the same in the training data
         training = _residual_samples(experiment, theta, False, reversal_margin, of_true_torque, progress)
         periodograms = [a + b for a, b in zip(judged.periodograms, training.periodograms, strict=True)]

@@ -109,7 +109,7 @@ def _noise_gain(
 
 
 def _first_training_batches(experiment: Experiment) -> Iterator[Batch]:
-    """Training data, until there is enough to know the noise."""
+    """The first batches, until they have `_SAMPLES` samples."""
     count = 0
     for run in experiment.runs:
         if not run.train:

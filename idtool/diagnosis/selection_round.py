@@ -33,8 +33,8 @@ from idtool.diagnosis.model_selection import (
     screened_record,
     select_best,
 )
-from idtool.diagnosis.noise_floor import estimate_noise_floor
 from idtool.diagnosis.noise_gain import noise_gain_with_probe
+from idtool.diagnosis.quiet_joints import quiet_joints
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
@@ -56,7 +56,6 @@ _REFINEMENT_POINTS = 7  # values that are screened again between the neighbours 
 _MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, those that are then rejected included
 _MIN_GAIN_RATIO = 0.4  # to the gain of the best accepted candidate, for a candidate to be fitted
 _MIN_FIRST_ORDER_GAIN_RATIO = 0.2  # likewise, where a fit may explain much more than the screening
-_MAX_SLOW_POWER_RATIO = 2.0  # power of white noise at the motion's frequencies over that expected from higher ones
 _MIN_REPLACING_GAIN_RATIO = 0.75  # to the gain of what a candidate is to replace, where a fit explains what it promises
 
 
@@ -92,56 +91,29 @@ def find_best_effect(
     movable
         Indices of the model's effects whose nonlinear parameters may be moved.
     gain_to_exceed
-        Gain of what an effect is to replace; candidates that cannot reach it are not fitted.
+        Gain of what an effect is to replace; candidates that promise much less are not fitted.
     """
     summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
-    quiet_joints = joints_with_noise_only(base, progress)
+    quiet = quiet_joints(base, progress)
     reference = with_nonlinear_parameters_free(base, movable, progress)
-    screening = _screen_all(reference, summary, effects, quiet_joints, skipped, progress)
+    screening = _screen_all(reference, summary, effects, quiet, skipped, progress)
     refined = _refine(reference, screening.screened, progress)
     candidates = [candidate for candidate in refined if _may_exceed(candidate, gain_to_exceed)]
     fits = _fit_best_candidates(base, initial, candidates, summary, screening.inflation, movable, progress)
     return select_best(base, screening, fits, movable, progress, min_share)
 
 
-def joints_with_noise_only(
-    fit: LinearizedFit, progress: Progress, max_slow_power_ratio: float = _MAX_SLOW_POWER_RATIO
-) -> frozenset[str]:
-    """Joints whose residual leaves nothing to explain; none if the noise is not known.
-
-    Either less of its square is above the noise than an effect must explain, or its power at the motion's frequencies
-    is about what that at higher ones suggests.
-
-    Parameters
-    ----------
-    fit
-        The model.
-    progress
-        Callback for the stage and its progress, from 0 to 1.
-    max_slow_power_ratio
-        Ratio of the residual's power at the motion's frequencies to that of its noise, up to which it is noise.
-    """
-    try:
-        floor = estimate_noise_floor(fit.experiment, fit.theta, progress, fit.reversal_margin)
-    except FAILURES:
-        return frozenset()
-    is_small = floor.share_above_noise < MIN_SHARE  # False where the noise is not known
-    is_flat = floor.is_joint_estimated & (floor.slow_power_ratio < max_slow_power_ratio)
-    joints = fit.experiment.equation.joints
-    return frozenset(joints[j] for j in np.flatnonzero(is_small | is_flat))
-
-
 def _screen_all(
     reference: LinearizedFit,
     summary: DataSummary,
     effects: Sequence[str] | None,
-    quiet_joints: Container[str],
+    quiet: Container[str],
     skipped: Container[ProbeKey],
     progress: Progress,
 ) -> Screening:
     """All candidates but the skipped ones, screened on the effects' own grids of nonlinear values.
 
-    On joints with nothing but noise, of which no effect explains much, one probe stands for its whole grid.
+    On a quiet joint, one probe is tried instead of the whole grid.
     """
     all_probes, not_built = _candidate_probes(summary, effects)
     grids: dict[ProbeKey, list[Probe]] = {}
@@ -151,8 +123,7 @@ def _screen_all(
     probes = []
     weights = []
     for grid in grids.values():
-        is_quiet = grid[0].joint in quiet_joints
-        tried = grid[len(grid) // 2 :][:1] if is_quiet else grid
+        tried = [grid[len(grid) // 2]] if grid[0].joint in quiet else grid
         probes += tried
         weights += [len(grid) / len(tried)] * len(tried)
     screened = screen_probes(reference, probes, progress)

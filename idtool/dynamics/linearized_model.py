@@ -52,8 +52,8 @@ class TorqueEquation(Protocol):
     def residual(self, motion: Motion, theta: Array) -> Array:
         """Torque less columns · theta, unfiltered, shape (nv, N)."""
 
-    def torque_of_bodies(self, true_motion: Motion, theta: Array) -> Array:
-        """Torque that all effects but rigid bodies leave for these, unfiltered, shape (nv, N)."""
+    def torque_left_for_bodies(self, true_motion: Motion, theta: Array) -> Array:
+        """Measured torque less that of all effects but the rigid bodies, unfiltered, shape (nv, N)."""
 
     def undefined_shares(self, batch: Batch) -> tuple[Array, Array]:
         """Shares of each filtered sample's weight that come from samples where a column is undefined."""
@@ -123,8 +123,7 @@ class LinearizedModel:
         noisy_measured = replace(measured, tau=measured.tau + noise, kept_columns=None)  # needed only once
         noisy = self.equation.true_motion(noisy_measured)
         true = self.true_motion
-        noisy_torque = self.equation.torque_of_bodies(noisy, self.theta)
-        change = noisy_torque - self.equation.torque_of_bodies(true, self.theta)
+        change = self.equation.torque_left_for_bodies(noisy, self.theta) - self._torque_left_for_bodies
         for joint in range(len(true.q)):
             dq, dv, da = (getattr(noisy, name)[joint] - getattr(true, name)[joint] for name in "qva")
             change -= self._rigid_body_torque_change(joint, dq, dv, da)
@@ -137,6 +136,11 @@ class LinearizedModel:
         samples = self._some_samples
         difference = self._rigid_body_torque(samples, changed) - self._torque_at_some_samples
         return self._at_all_samples(difference)
+
+    @cached_property
+    def _torque_left_for_bodies(self) -> Array:
+        """Measured torque less that of all effects but the rigid bodies, shape (nv, N)."""
+        return self.equation.torque_left_for_bodies(self.true_motion, self.theta)
 
     def link_load(self, motion: Motion, joint: int) -> tuple[Array, Array]:
         """Torque and inertia of what a joint's link carries, without the rotors; shape (N,) each."""
@@ -268,14 +272,14 @@ def effect_columns(effect: Effect, motion: Motion) -> list[Array]:
 
 
 def kept_effect_columns(effect: Effect, motion: Motion) -> Sequence[Array]:
-    """`effect_columns`, which must not be changed: those kept from an earlier model where there are."""
+    """`effect_columns`, which must not be changed: they are kept for other models."""
     kept = kept_columns_of(effect, motion)
     evaluate = partial(effect_columns, effect, motion)
     return evaluate() if kept is None else kept.get(("unfiltered", effect.column_key), evaluate)
 
 
 def kept_columns_of(effect: Effect, motion: Motion) -> KeptColumns | None:
-    """Store for columns of an effect along a motion; None if they depend on more than q, v and a of the batch."""
+    """Store for columns of an effect along a motion; None if they depend on more than its q, v and a."""
     kept = motion.kept_columns
     if kept is None or effect.column_key is None or not kept.are_along(motion.q, motion.v, motion.a):
         return None

@@ -159,14 +159,14 @@ class LinearModel:
             Coefficients, shape (p,).
         """
         true = self.true_motion(motion)
-        residual = self.torque_of_bodies(true, theta)
+        residual = self.torque_left_for_bodies(true, theta)
         for effect, part in self.effect_slices():
             if isinstance(effect, RigidBodies):
-                residual -= _rigid_body_torque(effect, theta[part], true)
+                residual -= _kept_rigid_body_torque(effect, theta[part], true)
         return residual
 
-    def torque_of_bodies(self, true_motion: Motion, theta: Array) -> Array:
-        """Torque that all effects but rigid bodies leave for these, unfiltered, shape (nv, N) [N·m or N].
+    def torque_left_for_bodies(self, true_motion: Motion, theta: Array) -> Array:
+        """Measured torque less that of all effects but the rigid bodies, unfiltered, shape (nv, N) [N·m or N].
 
         Parameters
         ----------
@@ -420,7 +420,7 @@ def _torque(effect: Effect, theta: Array, motion: Motion) -> Array:
     return np.stack([theta[active] @ own for active, own in zip(effect.active, columns, strict=True)])
 
 
-def _rigid_body_torque(bodies: RigidBodies, theta: Array, motion: Motion) -> Array:
+def _kept_rigid_body_torque(bodies: RigidBodies, theta: Array, motion: Motion) -> Array:
     """Torque of rigid bodies with their coefficients, shape (m,), along a true motion; kept if it can be."""
     kept = kept_columns_of(bodies, motion)
     if kept is None:

@@ -66,3 +66,23 @@ def test_batches_and_owners_do_not_share_columns() -> None:
     assert first.get(IdentityKey(owner), lambda: arrays(9.0))[0][0] == 1
     assert not first.are_along(q.copy(), v, a)
     assert first.are_along(q, v, a)
+
+
+def test_columns_along_the_same_corrected_motion_are_shared() -> None:
+    """It is the same if its numbers are, however it came about, and of the same batch."""
+    cache = ColumnCache(10 * SIZE)
+    q, v, a = np.zeros((3, 1, 100))
+    deflection = np.ones((3, 100))
+    first, second = KeptColumns(cache, 0, q, v, a), KeptColumns(cache, 1, q, v, a)
+    along = first.along(q + 0.1, v, a, [deflection])
+    assert not along.are_along(q, v, a)
+    assert along.get("x", lambda: arrays(1.0))[0][0] == 1
+    assert first.along(q + 0.1, v.copy(), a, [deflection]).find("x") is not None
+    for other in (
+        first,
+        first.along(q + 0.2, v, a, [deflection]),
+        first.along(q + 0.1, v, a, [2 * deflection]),
+        first.along(q + 0.1, v, a),
+        second.along(q + 0.1, v, a, [deflection]),
+    ):
+        assert other.find("x") is None

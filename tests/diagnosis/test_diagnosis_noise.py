@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from commands import SAMPLES
 from disturbed import silent
 from sentences import sentences
 
+from idtool.data.signals import Batch
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.linearized_fit import linearize_fit
 from idtool.diagnosis.noise_gain import noise_gain_with_probe
@@ -17,9 +20,15 @@ from idtool.diagnosis.selection_round import find_best_effect
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import with_effects
 from idtool.dynamics.effects.joint_elasticity import JointElasticity
-from idtool.estimation.dataset.experiment import prepare
+from idtool.dynamics.linearized_model import LinearizedModel
+from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import EffectEntry, read_config
 from idtool.robot.urdf.reading import read_robot
+
+
+def training_batches(experiment: Experiment) -> Iterator[Batch]:
+    (run,) = experiment.runs
+    return experiment.batches(run, held_out=False)
 
 
 @pytest.mark.parametrize("robot", ["leg", "belt_arm"])
@@ -60,9 +69,17 @@ def test_what_an_elastic_joint_cancels_of_the_noise_is_known_before_it_is_fitted
     compliance = 1 / 3600.0
     first_order = noise_gain_with_probe(rigid, base.theta, base.noise, probe, np.array([compliance]))
     soft = EffectEntry(effect="joint_elasticity", joint="abad", parameters={"stiffness": 3600.0, "motor_friction": 1.0})
-    fitted = linearize_fit(with_effects(rigid, [soft], base.theta), silent, base).noise_gain
+    elastic = linearize_fit(with_effects(rigid, [soft], base.theta), silent, base)
+    fitted = elastic.noise_gain
     assert fitted[joint] < 0.9
     assert first_order == pytest.approx(fitted, abs=0.03)
+
+    model = LinearizedModel(elastic.experiment.equation, elastic.theta, next(training_batches(rigid)).motion)
+    white = np.random.default_rng(4).normal(size=model.measured_motion.tau.shape) * base.noise[:, None]
+    noisy_motion = replace(model.measured_motion, tau=model.measured_motion.tau + white)
+    exact = model.equation.residual(noisy_motion, model.theta) - model.residual
+    error = model.residual_change_by_noise(white) - exact
+    assert np.linalg.norm(error, axis=1) == pytest.approx(0, abs=0.01 * np.linalg.norm(exact[joint]))
 
     step = find_best_effect(base, base, silent, ("joint_elasticity",))
     reasons = {one.target: one.reason for one in step.rejected}

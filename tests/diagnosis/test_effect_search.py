@@ -14,7 +14,15 @@ from disturbed import Hidden, experiment_of, motion, silent, torque_on_joint
 
 from idtool.common import processes
 from idtool.common.exceptions import SolverError
-from idtool.diagnosis import candidate_fit, effect_order, effect_pair, effect_search, selection_round, trial
+from idtool.diagnosis import (
+    candidate_fit,
+    effect_order,
+    effect_pair,
+    effect_search,
+    quiet_joints,
+    selection_round,
+    trial,
+)
 from idtool.diagnosis.effect_order import StepErrors, first_harmful, order_effects
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
@@ -116,7 +124,7 @@ def test_what_was_found_beside_the_same_effects_is_not_searched_for_again(
     monkeypatch.setattr(effect_search, "find_best_effect", find_best_effect)
     search._replace_one()
     assert searched == []  # where only noise is left, nothing explains more
-    monkeypatch.setattr(effect_search, "joints_with_noise_only", lambda *arguments: frozenset())
+    monkeypatch.setattr(effect_search, "quiet_joints", lambda *arguments: frozenset())
     search._replace_effects()
     assert searched == [[owners(search)[1]]]
 
@@ -139,12 +147,38 @@ def test_where_there_is_only_noise_one_value_of_each_parameter_is_tried(
     assert count["end_stop", "j1"] > count["end_stop", "j2"] == 1
     assert count["coulomb_friction", "j1"] == count["coulomb_friction", "j2"] == 1
 
-    def fail(*arguments: Any) -> Any:
+    def fail(*arguments: Any, **options: Any) -> Any:
         raise SolverError("solver", "as this test wants it")
 
-    monkeypatch.setattr(selection_round, "estimate_noise_floor", fail)
+    monkeypatch.setattr(quiet_joints, "estimate_noise_floor", fail)
     whole = count_of_probes()
     assert whole["end_stop", "j1"] == whole["end_stop", "j2"] == count["end_stop", "j1"]
+
+
+def test_what_cannot_explain_more_than_what_it_would_replace_is_not_fitted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In place of what explains as much, a spring and the stop that resembles it; of twice as much, neither."""
+    search = EffectSearch(experiment_of(tmp_path, spring, rows=slice(8000)), None, 4, silent)
+    fitted = []
+    inner = selection_round.fit_and_judge
+
+    def fit_and_judge(candidate: Any, *others: Any) -> Any:
+        fitted.append(candidate.probe.effect)
+        return inner(candidate, *others)
+
+    monkeypatch.setattr(selection_round, "fit_and_judge", fit_and_judge)
+    monkeypatch.setattr(processes, "process_count", lambda: 1)
+    effects = ("parallel_spring", "end_stop")
+    selection = selection_round.find_best_effect(search.current, search.initial, silent, effects)
+    assert selection.winner is not None
+    assert fitted == ["parallel_spring", "end_stop"]
+    for factor, expected in ((1.0, ["parallel_spring", "end_stop"]), (2.0, [])):
+        fitted.clear()
+        selection_round.find_best_effect(
+            search.current, search.initial, silent, effects, gain_to_exceed=factor * selection.winner.gain
+        )
+        assert fitted == expected
 
 
 def test_a_probe_that_stands_for_a_grid_counts_as_that_many(tmp_path: Path) -> None:
@@ -287,17 +321,17 @@ def test_two_effects_that_a_round_rejects_are_found_together(tmp_path: Path, mon
         assert all(one.effect != effect.chosen.effect or one.target != "j1" for one in effect.selection.rejected)
 
 
-@pytest.mark.parametrize("failing", ["fit_trial", "estimate_noise_floor"])
+@pytest.mark.parametrize(("module", "failing"), [(effect_pair, "fit_trial"), (candidate_fit, "estimate_noise_floor")])
 def test_a_pair_that_cannot_be_judged_is_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: Any, failing: str
 ) -> None:
-    def fail(*arguments: Any) -> Any:
+    def fail(*arguments: Any, **options: Any) -> Any:
         raise SolverError("solver", "as this test wants it")
 
     drag = torque_on_joint(0, lambda t, q, v, tau: 0.3 * v * np.abs(v))
     experiment = experiment_of(tmp_path, together(dry_friction, drag), rows=slice(8000))
     monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
-    monkeypatch.setattr(effect_pair, failing, fail)
+    monkeypatch.setattr(module, failing, fail)
     search = EffectSearch(experiment, ("coulomb_friction", "quadratic_drag"), 4, silent)
     search.run()
     assert (owners(search), search.stopped) == ([], "")
@@ -320,7 +354,7 @@ def test_pairs_are_sought_only_where_more_than_noise_is_left(tmp_path: Path, mon
 
 
 def test_parameters_that_cannot_be_freed_stay_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*arguments: Any) -> Any:
+    def fail(*arguments: Any, **options: Any) -> Any:
         raise np.linalg.LinAlgError
 
     experiment = experiment_of(tmp_path, spring, rows=slice(8000))
