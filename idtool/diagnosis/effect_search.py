@@ -51,7 +51,6 @@ from idtool.robot.config import EffectEntry
 
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
 _MAX_REPLACEMENTS = 3
-_MAX_SLOW_POWER_RATIO = 5.0  # of coloured noise, see `quiet_joints`: if all joints have less, no effect is replaced
 _MIN_REPLACEMENT_GAIN = 2.0  # standard errors by which a model must be better to replace another
 
 
@@ -403,7 +402,7 @@ class EffectSearch:
 
     def _replace_one(self) -> bool:
         """Replace an effect by one that explains more; False if none does, as where all joints are quiet."""
-        quiet = quiet_joints(self.current, self.progress, _MAX_SLOW_POWER_RATIO)
+        quiet = quiet_joints(self.current, self.progress)
         if quiet.issuperset(self.current.experiment.equation.joints):
             return False
         return self._replace_first([(effect,) for effect in self.reported])

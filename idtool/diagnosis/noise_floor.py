@@ -60,14 +60,6 @@ class NoiseFloor:
     is_estimated: bool = True
     is_joint_estimated: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
-    @property
-    def share_above_noise(self) -> Array:
-        """Share of each joint's squared residual that is not noise, shape (nv,); NaN where the noise is not known."""
-        residual_square = np.square(self.residual)
-        excess = residual_square - np.square(self.noise)
-        share = np.divide(excess, residual_square, out=np.zeros(len(excess)), where=residual_square > 0)
-        return np.where(self.is_joint_estimated, share, np.nan)
-
     def without_structure(self, shares: Array) -> NoiseFloor:
         """Floor if shares of the residual's power, shape (nv,), are structure, and so not noise."""
         noise_share = np.clip(1 - shares, 0.0, 1.0)

@@ -20,12 +20,14 @@ from idtool.dynamics.effects.fixed_effect import FixedJointEffect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NonlinearParameter
 from idtool.dynamics.mechanism import Mechanism, Transmission
+from idtool.robot.inverse_dynamics import inverse_dynamics
 from idtool.robot.model import RobotModel
 
 _DAMPING_RATIO = 0.05  # harmonic drives and belts have a few per cent
 _CUTOFFS = (14.0, 20.0, 28.0, 40.0, 56.0)  # Hz: up to one of them the deflection is taken from the torque
 _MAX_CUTOFF = 0.2  # of the sampling rate
 _MIN_SIGNAL_TO_NOISE = 3.0  # power of the transmitted torque, its noise included, over that of the noise
+_CLEAR_RESONANCES = 2.0  # times the link's resonance, above which more signal is needed
 _WELCH_SAMPLES = 1024  # in each of the overlapping pieces whose spectra are averaged
 _MAX_DIFFERENTIABLE = 0.25  # of the sampling rate, above which differentiating damps the noise too
 _REVERSAL_GAP = 2e-3  # s about a reversal, in which the direction of the motor's friction is not known
@@ -61,8 +63,10 @@ class JointElasticity(FixedJointEffect):
        torque before and after it within the band of step 5.
     4. The damper makes the deflection lag the torque: delta + (D / K) d delta/dt = tau_J / K.
     5. A low-pass keeps what is below the highest frequency, of five from 14 to 56 Hz, at which the transmitted torque
-       is above its noise. Above it, the second derivative would be mostly noise. At low sampling rates, the cutoff is
-       at most a fifth of the rate.
+       is above its noise. Above it, the second derivative would be mostly noise. That noise disturbs the torque of all
+       joints, the more the softer the spring, so that the spring would seem stiffer than it is. Above twice the
+       resonance of the link on its spring, the torque must therefore be the farther above its noise. At low sampling
+       rates, the cutoff is at most a fifth of the rate.
     6. The motion of the link is that of the motor less the deflection and its two derivatives. All other effects,
        rotors and friction included, act along it.
     7. Rotors and tau_f act along theta, though: what they take more there is added to the torque.
@@ -86,6 +90,7 @@ class JointElasticity(FixedJointEffect):
     def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, nonlinear_values)
         self._reflected_inertia = model.reflected_inertia()
+        self._prior_link_inertia = _prior_inertia(model, joint) - self._reflected_inertia[joint, joint]
         self._rigid_joint_model: Callable[[Motion], Linearization] | None = None
 
     @classmethod
@@ -149,7 +154,8 @@ class JointElasticity(FixedJointEffect):
     def correct_motion(self, motion: Motion) -> Motion:
         """Motion of the link, from that of the motor; steps 1 to 6 of the class."""
         retardation_time = self._retardation_time(self._rotor_inertia(motion)[self.joint])
-        deflection = self._deflection(motion, self._motor_friction_torque(motion), retardation_time)
+        friction = self._motor_friction_torque(motion)
+        deflection = self._deflection(motion, friction, retardation_time, self._link_resonance())
         link_motion = self._displaced(motion, -deflection)
         return replace(link_motion, motor_minus_link={**motion.motor_minus_link, self.joint: deflection})
 
@@ -197,7 +203,7 @@ class JointElasticity(FixedJointEffect):
         at_ends[:edge] = True
         at_ends[count - edge :] = True
         deflection = motion.motor_minus_link.get(self.joint, np.zeros((3, count)))
-        cutoff = self._highest_clear_frequency(self._displaced(motion, deflection))
+        cutoff = self._highest_clear_frequency(self._displaced(motion, deflection), self._link_resonance())
         half_period = 0.5 / max(cutoff, _CUTOFFS[0])  # a cutoff lowered to a low sampling rate does not lengthen it
         near_reversals = _near_reversals(motion.v[self.joint], half_period, motion.dt)
         return dict.fromkeys(range(len(motion.q)), at_ends) | {self.joint: at_ends | near_reversals}
@@ -216,7 +222,18 @@ class JointElasticity(FixedJointEffect):
         """Time constant D / K = 2 · 0.05 √(B / K) by which the damper makes the deflection lag the torque [s]."""
         return float(2 * _DAMPING_RATIO * np.sqrt(inertia / self.nonlinear_values["stiffness"]))
 
-    def _deflection(self, motion: Motion, motor_friction_torque: Array, retardation_time: float = 0.0) -> Array:
+    def _link_resonance(self) -> float:
+        """Frequency at which the link, with its prior inertia at the zero position, swings on the spring [Hz]."""
+        stiffness = self.nonlinear_values["stiffness"]
+        return float(np.sqrt(stiffness / max(self._prior_link_inertia, np.finfo(float).tiny)) / (2 * np.pi))
+
+    def _deflection(
+        self,
+        motion: Motion,
+        motor_friction_torque: Array,
+        retardation_time: float = 0.0,
+        link_resonance: float = np.inf,
+    ) -> Array:
         """Deflection and its first two time derivatives, shape (3, N) [rad or m, and per s and s²].
 
         Steps 2 to 5 of the class.
@@ -229,10 +246,12 @@ class JointElasticity(FixedJointEffect):
             Friction torque on the motor side, shape (N,) [N·m or N].
         retardation_time
             Time constant of the deflection's lag [s]; 0: no lag.
+        link_resonance
+            Resonance of the link on the spring [Hz]; infinite if the stiffness is not known yet.
         """
         dt = motion.dt
         transmitted = motion.tau[self.joint] - self._rotor_torque(motion) - motor_friction_torque
-        low_pass = _low_pass(self._highest_clear_frequency(motion), dt)
+        low_pass = _low_pass(self._highest_clear_frequency(motion, link_resonance), dt)
         if motor_friction_torque.any():
             # Friction jumps where the motor reverses, and the transmitted torque does not.
             near_reversals = _near_reversals(motion.v[self.joint], _REVERSAL_GAP, dt)
@@ -258,11 +277,10 @@ class JointElasticity(FixedJointEffect):
             inertia[self.joint] += self._rigid_joint_model(motion).added_rotor_inertia(self.joint)
         return inertia
 
-    def _highest_clear_frequency(self, motion: Motion) -> float:
+    def _highest_clear_frequency(self, motion: Motion, link_resonance: float) -> float:
         """Highest frequency at which the transmitted torque is above its noise, one of `_possible_cutoffs` [Hz].
 
-        Beyond, the deflection's second derivative would be mostly noise. Friction on the motor side is not subtracted
-        from the torque here.
+        Step 5 of the class. Friction on the motor side is not subtracted from the torque here.
         """
         torque = motion.logged_tau[self.joint]
         rotor_torque = self._rotor_torque(motion)
@@ -275,10 +293,22 @@ class JointElasticity(FixedJointEffect):
             octave = _octave_below(cutoff, f)
             if not octave.any():
                 continue
-            is_clear = transmitted_power[octave].mean() > _MIN_SIGNAL_TO_NOISE * noise_power[octave].max()
+            amplification = max((cutoff / (_CLEAR_RESONANCES * link_resonance)) ** 2, 1.0)
+            min_ratio = _MIN_SIGNAL_TO_NOISE * amplification
+            is_clear = transmitted_power[octave].mean() > min_ratio * noise_power[octave].max()
             if is_clear:  # whatever a lower octave is: the motion may have little power there
                 highest_clear = cutoff
         return highest_clear
+
+
+def _prior_inertia(model: RobotModel, joint: int) -> float:
+    """Inertia that a joint accelerates, by the bodies' priors at the zero position [kg·m² or kg]."""
+    zero = np.zeros((len(model.joints), 1))
+    accelerated = zero.copy()
+    accelerated[joint] = 1.0
+    pi = np.stack([body.pi for body in model.bodies])
+    torque = inverse_dynamics(model, pi, zero, zero, accelerated) - inverse_dynamics(model, pi, zero, zero, zero)
+    return float(torque[joint, 0])
 
 
 def _possible_cutoffs(dt: float) -> list[float]:
