@@ -33,12 +33,11 @@ from idtool.diagnosis.model_selection import (
     is_worthwhile,
 )
 from idtool.diagnosis.quiet_joints import quiet_joints
-from idtool.diagnosis.screen import ScreenedProbe, screen_probes
+from idtool.diagnosis.screen import ScreenedProbe, screen_pairs
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, has_fixed_inertia
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import DataSummary
-from idtool.dynamics.effects.probe import joined_probe
 from idtool.estimation.dataset.experiment import Progress
 
 _STAGE = "trying pairs of effects"
@@ -92,8 +91,8 @@ def find_pairs(
 ) -> Iterator[FittedEffectPair]:
     """Pairs of effects that explain the residual of a joint together, where a round found no single one.
 
-    They come joint by joint, those with the largest gain in the screening first. Pairs that cannot be fitted are left
-    out.
+    They come joint by joint, those with the largest gain in the screening first. Pairs that cannot be screened or
+    fitted are left out.
 
     Parameters
     ----------
@@ -112,7 +111,11 @@ def find_pairs(
     for joint in base.experiment.equation.joints:
         if joint in quiet:
             continue
-        for pair in _screen_pairs(selection, joint, progress)[:_MAX_FITS]:
+        try:
+            pairs = _screen_pairs(selection, joint, progress)
+        except FAILURES:
+            continue
+        for pair in pairs[:_MAX_FITS]:
             try:
                 fitted = _fit_pair(pair, base, initial, summary, movable, progress)
             except FAILURES:
@@ -132,12 +135,12 @@ def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> l
     largest_gain = max((candidate.gain for candidate in candidates), default=0.0)
     if largest_gain < MIN_SIGNIFICANCE**2 * selection.inflation:  # nothing on this joint explains anything
         return []
-    choices = list(combinations(candidates, 2))
-    probes = [joined_probe(first.probe, second.probe) for first, second in choices]
-    screened = screen_probes(screening.reference, probes, progress, _STAGE)
+    choices = list(combinations(range(len(candidates)), 2))
+    probes = [candidate.probe for candidate in candidates]
+    screened = screen_pairs(screening.reference, probes, choices, progress, _STAGE)
     pairs = []
-    for (first, second), joined in zip(choices, screened, strict=True):
-        pair = _screened_pair(first, second, joined)
+    for (i, j), joined in zip(choices, screened, strict=True):
+        pair = _screened_pair(candidates[i], candidates[j], joined)
         is_large = explained_share(pair.gain, base, joint_count=1) > _MIN_SCREENED_SHARE
         if is_large and all(_is_needed(effect, selection) for effect in pair.effects):
             pairs.append(pair)

@@ -283,7 +283,7 @@ class EffectSearch:
                 self.initial,
                 self.progress,
                 effects,
-                self._bursts(),
+                self._bursts,
                 min_share,
                 skipped,
                 self.model.movable,
@@ -468,8 +468,9 @@ class EffectSearch:
                 self.initial,
                 self.progress,
                 self._effects,
-                self._bursts(),
+                self._bursts,
                 movable=self.model.movable,
+                replaced=[effect.entry for effect in replaced],
                 gain_to_exceed=float(block_gains(without, other).sum()),
             )
         except FAILURES:

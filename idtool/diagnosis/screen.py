@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ from idtool.common.processes import in_processes, interleaved_shares
 from idtool.data.column_cache import KeptColumns
 from idtool.data.signals import Batch
 from idtool.diagnosis.linearized_fit import FurtherDirections, LinearizedFit
-from idtool.dynamics.effects.probe import Probe
+from idtool.dynamics.effects.probe import Probe, joined_probe
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Progress, tracked
 from idtool.robot.config import EffectEntry
@@ -124,7 +125,7 @@ class _ProbeSums:
     h
         Products of the columns with the residual, shape (F, K).
     CC
-        Products of each column with those of its own probe, shape (F, K, largest k).
+        Products of each column with those of its own probe, shape (F, K, largest k); of pairs with all, (F, K, K).
     """
 
     P: Array
@@ -162,6 +163,42 @@ def screen_probes(
         for i, solution in zip(share, solutions, strict=True):
             screened[i] = ScreenedProbe(probes[i], *solution)
     return [screened[i] for i in range(len(probes))]
+
+
+def screen_pairs(
+    linearized: LinearizedFit,
+    probes: Sequence[Probe],
+    pairs: Sequence[tuple[int, int]],
+    progress: Progress,
+    stage: str = "screening candidates",
+) -> list[ScreenedProbe]:
+    """Screen probes two at a time, each pair as a `joined_probe`; the columns of each probe are evaluated once.
+
+    Parameters
+    ----------
+    linearized
+        The model whose residual they are to explain.
+    probes
+        The hypotheses.
+    pairs
+        Indices of the two probes of each pair.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    stage
+        Name of this stage.
+    """
+    starts = _coefficient_starts(probes)
+    ranges = [np.arange(start, stop) for start, stop in pairwise(starts)]
+    sums = _accumulate_all_products(linearized, probes, progress, stage)
+    joined = [joined_probe(probes[i], probes[j]) for i, j in pairs]
+    indices = [np.concatenate([ranges[i], ranges[j]]) for i, j in pairs]
+    solutions: dict[int, _Solution] = {}
+    for numbers in _numbers_by_size(joined).values():
+        index = np.array([indices[n] for n in numbers])  # (i, k)
+        CC = sums.CC[:, index[:, :, None], index[:, None, :]]
+        solved = _solve_same_size(linearized, [joined[n] for n in numbers], sums.P[:, :, index], sums.h[:, index], CC)
+        solutions.update(zip(numbers, solved, strict=True))
+    return [ScreenedProbe(probe, *solutions[n]) for n, probe in enumerate(joined)]
 
 
 def with_free_parameters(linearized: LinearizedFit, probe: Probe, progress: Progress) -> LinearizedFit:
@@ -272,6 +309,30 @@ def _accumulate(linearized: LinearizedFit, probes: Sequence[Probe], progress: Pr
                 for rows in probe_rows:
                     own = x[rows]  # (i, k, n)
                     sums.CC[f, index[rows], : rows.shape[1]] += own @ own.transpose(0, 2, 1)
+    return sums
+
+
+def _accumulate_all_products(
+    linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str
+) -> _ProbeSums:
+    """Gram matrices of the probes over the training data, with the products of all columns with each other."""
+    starts = _coefficient_starts(probes)
+    F, r, K = linearized.block_count, len(linearized.information), int(starts[-1])
+    sums = _ProbeSums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, K)))
+    for batch, model, block_index, number in _training_batches(linearized, progress, stage):
+        Q, e, valid = _model_rows(linearized, batch, number)
+        columns_by_joint: dict[int, list[tuple[Indices, Array]]] = {}
+        for joint, index, filtered in _probe_columns(probes, starts, batch, model):
+            columns_by_joint.setdefault(joint, []).append((index, filtered))
+        for joint, parts in columns_by_joint.items():
+            index = np.concatenate([index for index, _ in parts])
+            columns = np.concatenate([filtered for _, filtered in parts])
+            columns *= valid[joint] / linearized.noise[joint]
+            for f, part in _block_slices(block_index):
+                x = columns[:, part]
+                sums.P[f][:, index] += Q[joint][:, part] @ x.T
+                sums.h[f, index] += x @ e[joint][part]
+                sums.CC[f][np.ix_(index, index)] += x @ x.T
     return sums
 
 
@@ -396,29 +457,44 @@ def _solve_all(linearized: LinearizedFit, probes: Sequence[Probe], sums: _ProbeS
     """All probes solved, those with the same number of coefficients together."""
     starts = _coefficient_starts(probes)
     solutions: dict[int, _Solution] = {}
-    for k in {probe.coefficient_count for probe in probes}:
-        numbers = [i for i, probe in enumerate(probes) if probe.coefficient_count == k]
+    for k, numbers in _numbers_by_size(probes).items():
         index = np.array([np.arange(starts[i], starts[i] + k) for i in numbers])  # (i, k)
-        solved = _solve_same_size(linearized, [probes[i] for i in numbers], index, sums)
+        own_probes = [probes[i] for i in numbers]
+        solved = _solve_same_size(linearized, own_probes, sums.P[:, :, index], sums.h[:, index], sums.CC[:, index, :k])
         solutions.update(zip(numbers, solved, strict=True))
     return [solutions[i] for i in range(len(probes))]
 
 
+def _numbers_by_size(probes: Sequence[Probe]) -> dict[int, list[int]]:
+    """Indices of the probes with each number of coefficients."""
+    numbers: dict[int, list[int]] = {}
+    for i, probe in enumerate(probes):
+        numbers.setdefault(probe.coefficient_count, []).append(i)
+    return numbers
+
+
 def _solve_same_size(
-    linearized: LinearizedFit, probes: Sequence[Probe], index: Indices, sums: _ProbeSums
+    linearized: LinearizedFit, probes: Sequence[Probe], block_P: Array, block_h: Array, block_CC: Array
 ) -> list[_Solution]:
-    """Solve probes of k coefficients each, whose indices are given, shape (i, k)."""
+    """Solve probes of k coefficients each.
+
+    Parameters
+    ----------
+    linearized
+        The model.
+    probes
+        The probes.
+    block_P, block_h, block_CC
+        Gram matrices as in `_ProbeSums`, shape (F, r, i, k), (F, i, k) and (F, i, k, k).
+    """
     F = linearized.block_count
-    block_P = sums.P[:, :, index]  # (F, r, i, k)
-    block_h = sums.h[:, index]  # (F, i, k)
-    block_CC = sums.CC[:, index, : index.shape[1]]  # (F, i, k, k)
     P = block_P.sum(axis=0)
     h = block_h.sum(axis=0)
     CC = block_CC.sum(axis=0)
     shift = np.asarray(np.linalg.solve(linearized.information, linearized.total_score), dtype=np.float64)
     c, _, schur = _solve(linearized.information, P, h, CC, shift)
 
-    k = index.shape[1]
+    k = c.shape[1]
     lower = np.array([probe.lower or (-np.inf,) * k for probe in probes])
     upper = np.array([probe.upper or (np.inf,) * k for probe in probes])
     local_probes = [i for i, probe in enumerate(probes) if probe.is_local]

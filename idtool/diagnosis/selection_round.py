@@ -10,7 +10,7 @@ independent rows.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -46,6 +46,7 @@ from idtool.dynamics.effects.fixed_effect import FixedEffect
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
+from idtool.robot.config import EffectEntry
 
 Bursts = tuple[Burst, ...]
 
@@ -64,13 +65,14 @@ def find_best_effect(
     initial: LinearizedFit,
     progress: Progress,
     effects: Sequence[str] | None,
-    bursts: Bursts = (),
+    find_bursts: Callable[[], Bursts] = tuple,
     min_share: float = MIN_SHARE,
     skipped: Container[ProbeKey] = (),
     movable: Sequence[int] = (),
+    replaced: Sequence[EffectEntry] = (),
     gain_to_exceed: float = 0.0,
 ) -> SelectionStep:
-    """Search for the effect that explains most of a model's residual: one round.
+    """Search for the effect that explains most of a model's residual: one round; none is tried if all joints are quiet.
 
     Parameters
     ----------
@@ -82,19 +84,27 @@ def find_best_effect(
         Callback for the stage and its progress, from 0 to 1.
     effects
         Ids of the effects to try; None: all.
-    bursts
-        Time intervals in which the residual is unusually large.
+    find_bursts
+        Returns the time intervals in which the residual is unusually large.
     min_share
         Share of a joint's squared residual that an effect must explain.
     skipped
         Keys of candidates that are not tried.
     movable
         Indices of the model's effects whose nonlinear parameters may be moved.
+    replaced
+        Effects in whose place one is searched for. On joints without one of them, where nothing was found beside them,
+        one probe is tried instead of the whole grid.
     gain_to_exceed
         Gain of what an effect is to replace; candidates that promise much less are not fitted.
     """
-    summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
+    joints = base.experiment.equation.joints
     quiet = quiet_joints(base, progress)
+    if quiet.issuperset(joints):
+        return SelectionStep(base, None, (), (), (), _row_inflation(base, (), ()))
+    if replaced and all(entry.joint for entry in replaced):
+        quiet |= set(joints) - {entry.joint for entry in replaced}
+    summary = summarize_data(base, find_bursts(), has_fixed_inertia(base.experiment))
     reference = with_nonlinear_parameters_free(base, movable, progress)
     screening = _screen_all(reference, summary, effects, quiet, skipped, progress)
     refined = _refine(reference, screening.screened, progress)

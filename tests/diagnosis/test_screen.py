@@ -352,6 +352,15 @@ def test_beside_free_parameters_a_probe_has_the_information_that_it_has_beside_t
     np.testing.assert_allclose(beside.information, joined.marginal_information(slice(0, 1)), rtol=1e-9)
 
 
+def test_probes_that_are_screened_in_pairs_explain_what_their_columns_do_together(base: LinearizedFit) -> None:
+    alone = probes(base)
+    pairs = [(0, 1), (0, 2), (2, 4), (6, 1), (3, 5)]
+    joined = [joined_probe(alone[i], alone[j]) for i, j in pairs]
+    screened_in_pairs = screen.screen_pairs(base, alone, pairs, silent)
+    for found, expected in zip(screened_in_pairs, screen_probes(base, joined, silent), strict=True):
+        assert_same(found, expected)
+
+
 def test_parameters_that_the_model_has_are_free_already(base: LinearizedFit) -> None:
     """The third joint's damping, beside which nothing changes."""
     damping = made(lambda motion, present: {2: motion.v[2][None]})

@@ -94,7 +94,7 @@ def joined_probe(first: Probe, second: Probe) -> Probe:
     def columns(motion: Motion, model: Linearization) -> Mapping[int, Array]:
         parts = [(probe.columns(motion, model), probe.coefficient_count) for probe in (first, second)]
         joined = {}
-        for j in range(len(motion.q)):
+        for j in sorted(set().union(*(by_joint for by_joint, _ in parts))):
             rows = [by_joint.get(j, np.zeros((count, len(motion.t)))) for by_joint, count in parts]
             joined[j] = np.concatenate(rows)
         return joined
