@@ -187,9 +187,10 @@ def screen_pairs(
     stage
         Name of this stage.
     """
-    starts = _coefficient_starts(probes)
-    ranges = [np.arange(start, stop) for start, stop in pairwise(starts)]
-    sums = _accumulate_all_products(linearized, probes, progress, stage)
+    ranges = [np.arange(start, stop) for start, stop in pairwise(_coefficient_starts(probes))]
+    sums = _zero_sums(linearized, probes, products_per_column=int(_coefficient_starts(probes)[-1]))
+    for rows in _rows_with_columns(linearized, probes, progress, stage):
+        _add_all_products(sums, rows)
     joined = [joined_probe(probes[i], probes[j]) for i, j in pairs]
     indices = [np.concatenate([ranges[i], ranges[j]]) for i, j in pairs]
     solutions: dict[int, _Solution] = {}
@@ -207,22 +208,15 @@ def with_free_parameters(linearized: LinearizedFit, probe: Probe, progress: Prog
     Screened against it, a candidate gains what it explains beside their best values. Without a column that the model
     cannot reproduce, it is the same fit. Letters as above; W whitens the further directions.
     """
-    k = probe.coefficient_count
-    F, r = linearized.block_count, len(linearized.information)
-    P, h, CC = np.zeros((F, r, k)), np.zeros((F, k)), np.zeros((F, k, k))
+    sums = _zero_sums(linearized, [probe], products_per_column=probe.coefficient_count)
     batch_columns = []
-    starts = _coefficient_starts([probe])
-    for batch, model, block_index, number in _training_batches(linearized, progress, "screening candidates"):
-        Q, e, valid = _model_rows(linearized, batch, number)
-        columns = np.zeros((len(Q), k, len(batch.t)))
-        for joint, index, filtered in _probe_columns([probe], starts, batch, model):
-            columns[joint, index] = filtered * (valid[joint] / linearized.noise[joint])
+    for rows in _rows_with_columns(linearized, [probe], progress, "screening candidates"):
+        _add_all_products(sums, rows)
+        columns = np.zeros((len(rows.Q), probe.coefficient_count, len(rows.e[0])))
+        for joint, (index, weighted) in rows.columns.items():
+            columns[joint, index] = weighted
         batch_columns.append(columns)
-        for f, part in _block_slices(block_index):
-            for own_rows, residual, x in zip(Q, e, columns[:, :, part], strict=True):
-                P[f] += own_rows[:, part] @ x.T
-                h[f] += x @ residual[part]
-                CC[f] += x @ x.T
+    P, h, CC = sums.P, sums.h, sums.CC
 
     # whitened, and without what the model's own directions reproduce
     total_P = P.sum(axis=0)
@@ -294,8 +288,7 @@ def _accumulate(linearized: LinearizedFit, probes: Sequence[Probe], progress: Pr
     """Gram matrices of the probes over the training data."""
     starts = _coefficient_starts(probes)
     max_k = max(probe.coefficient_count for probe in probes)
-    F, r, K = linearized.block_count, len(linearized.information), int(starts[-1])
-    sums = _ProbeSums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, max_k)))
+    sums = _zero_sums(linearized, probes, products_per_column=max_k)
     for batch, model, block_index, number in _training_batches(linearized, progress, stage):
         Q, e, valid = _model_rows(linearized, batch, number)
         blocks = _block_slices(block_index)
@@ -312,28 +305,56 @@ def _accumulate(linearized: LinearizedFit, probes: Sequence[Probe], progress: Pr
     return sums
 
 
-def _accumulate_all_products(
+def _zero_sums(linearized: LinearizedFit, probes: Sequence[Probe], products_per_column: int) -> _ProbeSums:
+    """Gram matrices of no rows yet."""
+    F, r, K = linearized.block_count, len(linearized.information), int(_coefficient_starts(probes)[-1])
+    return _ProbeSums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, products_per_column)))
+
+
+class _WeightedRows(NamedTuple):
+    """Rows of a batch, in units of the noise; those that do not count are 0.
+
+    Attributes
+    ----------
+    Q, e
+        By joint: the model's rows by y, (r, n), and the residual, (n,).
+    blocks
+        Number of each block, and its range among the n samples.
+    columns
+        Joint to indices of coefficients, shape (m,), and their columns, (m, n).
+    """
+
+    Q: list[Array]
+    e: list[Array]
+    blocks: list[tuple[int, slice]]
+    columns: dict[int, tuple[Indices, Array]]
+
+
+def _rows_with_columns(
     linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str
-) -> _ProbeSums:
-    """Gram matrices of the probes over the training data, with the products of all columns with each other."""
+) -> Iterator[_WeightedRows]:
+    """The model's rows with all columns of some probes, batch after batch of the training data."""
     starts = _coefficient_starts(probes)
-    F, r, K = linearized.block_count, len(linearized.information), int(starts[-1])
-    sums = _ProbeSums(np.zeros((F, r, K)), np.zeros((F, K)), np.zeros((F, K, K)))
     for batch, model, block_index, number in _training_batches(linearized, progress, stage):
         Q, e, valid = _model_rows(linearized, batch, number)
-        columns_by_joint: dict[int, list[tuple[Indices, Array]]] = {}
+        parts: dict[int, list[tuple[Indices, Array]]] = {}
         for joint, index, filtered in _probe_columns(probes, starts, batch, model):
-            columns_by_joint.setdefault(joint, []).append((index, filtered))
-        for joint, parts in columns_by_joint.items():
-            index = np.concatenate([index for index, _ in parts])
-            columns = np.concatenate([filtered for _, filtered in parts])
-            columns *= valid[joint] / linearized.noise[joint]
-            for f, part in _block_slices(block_index):
-                x = columns[:, part]
-                sums.P[f][:, index] += Q[joint][:, part] @ x.T
-                sums.h[f, index] += x @ e[joint][part]
-                sums.CC[f][np.ix_(index, index)] += x @ x.T
-    return sums
+            parts.setdefault(joint, []).append((index, filtered * (valid[joint] / linearized.noise[joint])))
+        columns = {}
+        for joint, own_parts in parts.items():
+            indices, weighted = zip(*own_parts, strict=True)
+            columns[joint] = np.concatenate(indices), np.concatenate(weighted)
+        yield _WeightedRows(Q, e, _block_slices(block_index), columns)
+
+
+def _add_all_products(sums: _ProbeSums, rows: _WeightedRows) -> None:
+    """Add a batch to the Gram matrices, with the products of each column with all others."""
+    for joint, (index, columns) in rows.columns.items():
+        for f, part in rows.blocks:
+            x = columns[:, part]
+            sums.P[f][:, index] += rows.Q[joint][:, part] @ x.T
+            sums.h[f, index] += x @ rows.e[joint][part]
+            sums.CC[f][np.ix_(index, index)] += x @ x.T
 
 
 def _block_slices(block_index: Indices) -> list[tuple[int, slice]]:
