@@ -25,6 +25,7 @@ from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import (
     MIN_SIGNIFICANCE,
     FittedCandidate,
+    Screening,
     SelectionStep,
     best_by_key,
     block_gains,
@@ -87,7 +88,11 @@ class FittedEffectPair:
 
 
 def find_pairs(
-    selection: SelectionStep, initial: LinearizedFit, movable: Sequence[int], progress: Progress
+    selection: SelectionStep,
+    screening: Screening,
+    initial: LinearizedFit,
+    movable: Sequence[int],
+    progress: Progress,
 ) -> Iterator[FittedEffectPair]:
     """Pairs of effects that explain the residual of a joint together, where a round found no single one.
 
@@ -96,8 +101,8 @@ def find_pairs(
 
     Parameters
     ----------
-    selection
-        The last round, which has no winner.
+    selection, screening
+        The last round, which has no winner, and its screening.
     initial
         The model without any of the effects found.
     movable
@@ -112,7 +117,7 @@ def find_pairs(
         if joint in quiet:
             continue
         try:
-            pairs = _screen_pairs(selection, joint, progress)
+            pairs = _screen_pairs(selection, screening, joint, progress)
         except FAILURES:
             continue
         for pair in pairs[:_MAX_FITS]:
@@ -124,18 +129,19 @@ def find_pairs(
                 yield fitted
 
 
-def _screen_pairs(selection: SelectionStep, joint: str, progress: Progress) -> list[_ScreenedPair]:
+def _screen_pairs(
+    selection: SelectionStep, screening: Screening, joint: str, progress: Progress
+) -> list[_ScreenedPair]:
     """Pairs of effects on a joint that explain much of its residual, the largest gain first."""
     base = selection.base
-    screening = selection.screening
-    if screening is None:
-        return []
     on_joint = [one for one in screening.screened if one.probe.joint == joint and _may_be_in_pair(one)]
     candidates = list(best_by_key(on_joint).values())
     largest_gain = max((candidate.gain for candidate in candidates), default=0.0)
     if largest_gain < MIN_SIGNIFICANCE**2 * selection.inflation:  # nothing on this joint explains anything
         return []
     choices = list(combinations(range(len(candidates)), 2))
+    if not choices:
+        return []
     probes = [candidate.probe for candidate in candidates]
     screened = screen_pairs(screening.reference, probes, choices, progress, _STAGE)
     pairs = []

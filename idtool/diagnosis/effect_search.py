@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
+import numpy as np
+
 from idtool.common.exceptions import ConfigError
 from idtool.common.processes import in_processes, interleaved_shares
 from idtool.diagnosis.bursts import find_bursts
@@ -37,7 +39,7 @@ from idtool.diagnosis.model_selection import (
     probe_key,
     probe_target,
 )
-from idtool.diagnosis.quiet_joints import quiet_joints
+from idtool.diagnosis.quiet_joints import are_all_quiet
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN, joints_clearer_away_from_reversals
 from idtool.diagnosis.screen import sum_standard_error
 from idtool.diagnosis.selection_round import Bursts, find_best_effect, fit_assumed_effect
@@ -70,7 +72,7 @@ class EffectSearch:
     removed
         Effects that were removed again, a plain sentence each.
     last_round
-        The latest round in which effects were added, at the end the one that found nothing more; None before the first.
+        The latest round in which effects were tried; None before the first.
     reversal_joints
         Joints whose friction does not follow its law near reversals. Their rms residual with and without the rows near
         reversals [N·m or N], which are then excluded.
@@ -288,7 +290,8 @@ class EffectSearch:
                 skipped,
                 self.model.movable,
             )
-            self.last_round = selection
+            if selection.has_tried or self.last_round is None:
+                self.last_round = selection
             for candidate in selection.failed:
                 self.failed[candidate.effect, candidate.target] = candidate.reason
             if selection.winner is None:
@@ -310,9 +313,9 @@ class EffectSearch:
     def _add_pair(self) -> bool:
         """Add two effects that the last round rejected and that are worthwhile together; False if there are none."""
         selection = self.last_round
-        if selection is None or selection.winner is not None or len(self.reported) + 2 > self._max_effects:
+        if selection is None or selection.screening is None or len(self.reported) + 2 > self._max_effects:
             return False
-        pairs = find_pairs(selection, self.initial, self.model.movable, self.progress)
+        pairs = find_pairs(selection, selection.screening, self.initial, self.model.movable, self.progress)
         if not any(self._try_add_pair(selection, pair) for pair in pairs):
             return False
         self._prune()
@@ -402,8 +405,7 @@ class EffectSearch:
 
     def _replace_one(self) -> bool:
         """Replace an effect by one that explains more; False if none does, as where all joints are quiet."""
-        quiet = quiet_joints(self.current, self.progress)
-        if quiet.issuperset(self.current.experiment.equation.joints):
+        if are_all_quiet(self.current, self.progress):
             return False
         return self._replace_first([(effect,) for effect in self.reported])
 
@@ -470,7 +472,7 @@ class EffectSearch:
                 self._effects,
                 self._bursts,
                 movable=self.model.movable,
-                replaced=[effect.entry for effect in replaced],
+                explained_joints=_joints_as_well_explained(without, other),
                 gain_to_exceed=float(block_gains(without, other).sum()),
             )
         except FAILURES:
@@ -619,6 +621,12 @@ class EffectSearch:
         """Error of the present model, on the held-out data if there are any, at the joint of an effect."""
         errors = evaluate_errors(self.current.experiment, self.current.estimate.theta, False, self.progress)
         return errors.torque[effect.entry.joint or "overall"]
+
+
+def _joints_as_well_explained(without: LinearizedFit, other: LinearizedFit) -> list[str]:
+    """Joints whose squared residual is hardly larger than that of another model on the same rows."""
+    is_alike = without.mean_squared_residual < other.mean_squared_residual / (1 - MIN_SHARE)
+    return [without.experiment.equation.joints[j] for j in np.flatnonzero(is_alike)]
 
 
 def _subjects(entries: Sequence[EffectEntry]) -> list[tuple[str, str]]:

@@ -129,13 +129,13 @@ class SelectionStep:
     runners_up
         Other finalists that explain the same part of the residual; without a winner, all finalists.
     rejected
-        Records of all candidates that are no finalists, with reasons.
+        Records of all candidates that are no finalists, with reasons; empty if all joints are quiet.
     inflation
-        Number of rows that are worth one independent row.
+        Number of rows that are worth one independent row; if all joints are quiet, for white noise.
     failed
         Those of ``rejected`` that could not be screened or fitted.
     screening
-        The screening of all candidates, if there is no winner.
+        The screening of all candidates; None if there is a winner, or if all joints are quiet, so that none was tried.
     """
 
     base: LinearizedFit
@@ -146,6 +146,11 @@ class SelectionStep:
     inflation: float
     failed: tuple[Candidate, ...] = ()
     screening: Screening | None = None
+
+    @property
+    def has_tried(self) -> bool:
+        """True unless all joints are quiet, so that no candidate was tried."""
+        return self.winner is not None or self.screening is not None
 
     def alternatives(self) -> tuple[Candidate, ...]:
         """Records of the finalists that compete with the winner, the best first."""

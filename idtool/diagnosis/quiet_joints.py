@@ -16,7 +16,7 @@ def quiet_joints(fit: LinearizedFit, progress: Progress) -> frozenset[str]:
     """Joints whose squared residual on the training data has less above the noise than an effect must explain of it.
 
     Those whose noise is not known are not among them. It is that away from reversals: what a model lacks near them is
-    so short that it would pass for noise.
+    so short that it would pass for noise. The residual is that of all rows, or away from reversals if that is larger.
 
     Parameters
     ----------
@@ -32,7 +32,12 @@ def quiet_joints(fit: LinearizedFit, progress: Progress) -> frozenset[str]:
         )
     except FAILURES:
         return frozenset()
-    least_noise = (1 - MIN_SHARE) * fit.mean_squared_residual
-    is_quiet = floor.is_joint_estimated & (np.square(floor.noise) > least_noise)
+    squared_residual = np.maximum(fit.mean_squared_residual, np.square(floor.residual))
+    is_quiet = floor.is_joint_estimated & (np.square(floor.noise) > (1 - MIN_SHARE) * squared_residual)
     joints = fit.experiment.equation.joints
     return frozenset(joints[j] for j in np.flatnonzero(is_quiet))
+
+
+def are_all_quiet(fit: LinearizedFit, progress: Progress) -> bool:
+    """True if all joints are quiet; see `quiet_joints`."""
+    return quiet_joints(fit, progress).issuperset(fit.experiment.equation.joints)

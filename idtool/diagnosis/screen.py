@@ -186,19 +186,27 @@ def screen_pairs(
         Callback for the stage and its progress, from 0 to 1.
     stage
         Name of this stage.
+
+    Raises
+    ------
+    ArithmeticError, ValueError, RuntimeError
+        If a probe cannot be evaluated.
     """
-    ranges = [np.arange(start, stop) for start, stop in pairwise(_coefficient_starts(probes))]
-    sums = _zero_sums(linearized, probes, products_per_column=int(_coefficient_starts(probes)[-1]))
+    starts = _coefficient_starts(probes)
+    ranges = [np.arange(start, stop) for start, stop in pairwise(starts)]
+    sums = _zero_sums(linearized, probes, products_per_column=int(starts[-1]))
     for rows in _rows_with_columns(linearized, probes, progress, stage):
         _add_all_products(sums, rows)
     joined = [joined_probe(probes[i], probes[j]) for i, j in pairs]
-    indices = [np.concatenate([ranges[i], ranges[j]]) for i, j in pairs]
+    coefficients = [np.concatenate([ranges[i], ranges[j]]) for i, j in pairs]
     solutions: dict[int, _Solution] = {}
-    for numbers in _numbers_by_size(joined).values():
-        index = np.array([indices[n] for n in numbers])  # (i, k)
-        CC = sums.CC[:, index[:, :, None], index[:, None, :]]
-        solved = _solve_same_size(linearized, [joined[n] for n in numbers], sums.P[:, :, index], sums.h[:, index], CC)
-        solutions.update(zip(numbers, solved, strict=True))
+    for own_pairs in _indices_by_size(joined).values():
+        index = np.array([coefficients[n] for n in own_pairs])  # (i, k)
+        P = sums.P[:, :, index]  # (F, r, i, k)
+        h = sums.h[:, index]  # (F, i, k)
+        CC = sums.CC[:, index[:, :, None], index[:, None, :]]  # (F, i, k, k)
+        solved = _solve_same_size(linearized, [joined[n] for n in own_pairs], P, h, CC)
+        solutions.update(zip(own_pairs, solved, strict=True))
     return [ScreenedProbe(probe, *solutions[n]) for n, probe in enumerate(joined)]
 
 
@@ -333,7 +341,10 @@ class _WeightedRows(NamedTuple):
 def _rows_with_columns(
     linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str
 ) -> Iterator[_WeightedRows]:
-    """The model's rows with all columns of some probes, batch after batch of the training data."""
+    """The model's rows with all columns of some probes, batch after batch of the training data.
+
+    For a number of probes whose columns of a batch fit in memory; `_accumulate` is for any number.
+    """
     starts = _coefficient_starts(probes)
     for batch, model, block_index, number in _training_batches(linearized, progress, stage):
         Q, e, valid = _model_rows(linearized, batch, number)
@@ -478,20 +489,22 @@ def _solve_all(linearized: LinearizedFit, probes: Sequence[Probe], sums: _ProbeS
     """All probes solved, those with the same number of coefficients together."""
     starts = _coefficient_starts(probes)
     solutions: dict[int, _Solution] = {}
-    for k, numbers in _numbers_by_size(probes).items():
-        index = np.array([np.arange(starts[i], starts[i] + k) for i in numbers])  # (i, k)
-        own_probes = [probes[i] for i in numbers]
-        solved = _solve_same_size(linearized, own_probes, sums.P[:, :, index], sums.h[:, index], sums.CC[:, index, :k])
-        solutions.update(zip(numbers, solved, strict=True))
+    for k, own_probes in _indices_by_size(probes).items():
+        index = np.array([np.arange(starts[i], starts[i] + k) for i in own_probes])  # (i, k)
+        P = sums.P[:, :, index]  # (F, r, i, k)
+        h = sums.h[:, index]  # (F, i, k)
+        CC = sums.CC[:, index, :k]  # (F, i, k, k)
+        solved = _solve_same_size(linearized, [probes[i] for i in own_probes], P, h, CC)
+        solutions.update(zip(own_probes, solved, strict=True))
     return [solutions[i] for i in range(len(probes))]
 
 
-def _numbers_by_size(probes: Sequence[Probe]) -> dict[int, list[int]]:
+def _indices_by_size(probes: Sequence[Probe]) -> dict[int, list[int]]:
     """Indices of the probes with each number of coefficients."""
-    numbers: dict[int, list[int]] = {}
+    indices: dict[int, list[int]] = {}
     for i, probe in enumerate(probes):
-        numbers.setdefault(probe.coefficient_count, []).append(i)
-    return numbers
+        indices.setdefault(probe.coefficient_count, []).append(i)
+    return indices
 
 
 def _solve_same_size(

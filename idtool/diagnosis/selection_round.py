@@ -10,7 +10,7 @@ independent rows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -46,7 +46,6 @@ from idtool.dynamics.effects.fixed_effect import FixedEffect
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
-from idtool.robot.config import EffectEntry
 
 Bursts = tuple[Burst, ...]
 
@@ -65,14 +64,16 @@ def find_best_effect(
     initial: LinearizedFit,
     progress: Progress,
     effects: Sequence[str] | None,
-    find_bursts: Callable[[], Bursts] = tuple,
+    get_bursts: Callable[[], Bursts] | None = None,
     min_share: float = MIN_SHARE,
     skipped: Container[ProbeKey] = (),
     movable: Sequence[int] = (),
-    replaced: Sequence[EffectEntry] = (),
+    explained_joints: Collection[str] = (),
     gain_to_exceed: float = 0.0,
 ) -> SelectionStep:
-    """Search for the effect that explains most of a model's residual: one round; none is tried if all joints are quiet.
+    """One round of the search: the effect that explains most of a model's residual.
+
+    If all joints are quiet, no effect is tried.
 
     Parameters
     ----------
@@ -84,29 +85,27 @@ def find_best_effect(
         Callback for the stage and its progress, from 0 to 1.
     effects
         Ids of the effects to try; None: all.
-    find_bursts
-        Returns the time intervals in which the residual is unusually large.
+    get_bursts
+        Function that returns the time intervals in which the residual is unusually large. It is called only if effects
+        are tried, since it takes a robust fit. None: there are none.
     min_share
         Share of a joint's squared residual that an effect must explain.
     skipped
         Keys of candidates that are not tried.
     movable
         Indices of the model's effects whose nonlinear parameters may be moved.
-    replaced
-        Effects in whose place one is searched for. On joints without one of them, where nothing was found beside them,
-        one probe is tried instead of the whole grid.
+    explained_joints
+        Joints on which nothing is expected. As on quiet joints, one probe is tried instead of the whole grid.
     gain_to_exceed
         Gain of what an effect is to replace; candidates that promise much less are not fitted.
     """
-    joints = base.experiment.equation.joints
     quiet = quiet_joints(base, progress)
-    if quiet.issuperset(joints):
-        return SelectionStep(base, None, (), (), (), _row_inflation(base, (), ()))
-    if replaced and all(entry.joint for entry in replaced):
-        quiet |= set(joints) - {entry.joint for entry in replaced}
-    summary = summarize_data(base, find_bursts(), has_fixed_inertia(base.experiment))
+    if quiet.issuperset(base.experiment.equation.joints):
+        return SelectionStep(base, None, (), (), (), _white_noise_inflation(base))
+    bursts = get_bursts() if get_bursts is not None else ()
+    summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
     reference = with_nonlinear_parameters_free(base, movable, progress)
-    screening = _screen_all(reference, summary, effects, quiet, skipped, progress)
+    screening = _screen_all(reference, summary, effects, quiet.union(explained_joints), skipped, progress)
     refined = _refine(reference, screening.screened, progress)
     candidates = [candidate for candidate in refined if _may_exceed(candidate, gain_to_exceed)]
     fits = _fit_best_candidates(base, initial, candidates, summary, screening.inflation, movable, progress)
@@ -117,13 +116,13 @@ def _screen_all(
     reference: LinearizedFit,
     summary: DataSummary,
     effects: Sequence[str] | None,
-    quiet: Container[str],
+    coarse_joints: Container[str],
     skipped: Container[ProbeKey],
     progress: Progress,
 ) -> Screening:
     """All candidates but the skipped ones, screened on the effects' own grids of nonlinear values.
 
-    On a quiet joint, one probe is tried instead of the whole grid.
+    On ``coarse_joints``, one probe is tried instead of the whole grid.
     """
     all_probes, not_built = _candidate_probes(summary, effects)
     grids: dict[ProbeKey, list[Probe]] = {}
@@ -133,7 +132,7 @@ def _screen_all(
     probes = []
     weights = []
     for grid in grids.values():
-        tried = [grid[len(grid) // 2]] if grid[0].joint in quiet else grid
+        tried = [grid[len(grid) // 2]] if grid[0].joint in coarse_joints else grid
         probes += tried
         weights += [len(grid) / len(tried)] * len(tried)
     screened = screen_probes(reference, probes, progress)
@@ -377,14 +376,19 @@ def _row_inflation(base: LinearizedFit, screened: Sequence[ScreenedProbe], weigh
 
     It is at least that of white noise after the filter.
     """
-    redundancy = base.experiment.runs[0].signals.low_pass.redundancy
+    least = _white_noise_inflation(base)
     inflations = np.array([probe.inflation for probe in screened])
     is_known = np.isfinite(inflations) & (inflations > 0)
     if not is_known.any():
-        return redundancy
+        return least
     known_weights = np.array(weights)[is_known]
     median = np.quantile(inflations[is_known], 0.5, weights=known_weights, method="inverted_cdf")
-    return max(float(median), redundancy)
+    return max(float(median), least)
+
+
+def _white_noise_inflation(base: LinearizedFit) -> float:
+    """Number of rows that are worth one independent row, if the noise is white before the filter."""
+    return base.experiment.runs[0].signals.low_pass.redundancy
 
 
 def _promising(screened: Iterable[ScreenedProbe]) -> list[ScreenedProbe]:

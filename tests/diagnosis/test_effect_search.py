@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from disturbed import Hidden, experiment_of, motion, silent, torque_on_joint
+from disturbed import Hidden, experiment_of, motion, nothing, silent, torque_on_joint
 
 from idtool.common import processes
 from idtool.common.exceptions import SolverError
@@ -29,7 +29,7 @@ from idtool.diagnosis.error_summary import errors_of_fit
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import probe_key
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN
-from idtool.diagnosis.trial import TrialFit, with_fixed_inertia
+from idtool.diagnosis.trial import TrialFit, with_effects, with_fixed_inertia
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import fit
 from idtool.robot.config import EffectEntry
@@ -124,7 +124,7 @@ def test_what_was_found_beside_the_same_effects_is_not_searched_for_again(
     monkeypatch.setattr(effect_search, "find_best_effect", find_best_effect)
     search._replace_one()
     assert searched == []  # where only noise is left, nothing explains more
-    monkeypatch.setattr(effect_search, "quiet_joints", lambda *arguments: frozenset())
+    monkeypatch.setattr(effect_search, "are_all_quiet", lambda *arguments: False)
     search._replace_effects()
     assert searched == [[owners(search)[1]]]
 
@@ -153,6 +153,41 @@ def test_where_there_is_only_noise_one_value_of_each_parameter_is_tried(
     monkeypatch.setattr(quiet_joints, "estimate_noise_floor", fail)
     whole = count_of_probes()
     assert whole["end_stop", "j1"] == whole["end_stop", "j2"] == count["end_stop", "j1"]
+
+
+def test_on_joints_where_nothing_is_expected_one_value_of_each_parameter_is_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(selection_round, "quiet_joints", lambda *arguments: frozenset())
+    monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
+    fit = EffectSearch(experiment_of(tmp_path, spring), ("end_stop",), 4, silent).current
+    selection = selection_round.find_best_effect(fit, fit, silent, ("end_stop",), explained_joints=["j2"])
+    assert selection.screening is not None
+    count = Counter(one.probe.joint for one in selection.screening.screened if one.probe.effect == "end_stop")
+    assert count["j1"] > count["j2"] == 1
+
+
+def test_what_is_left_out_leaves_more_on_its_joint(tmp_path: Path) -> None:
+    """Bodies could imitate the spring on the other joint too, but are known here."""
+    fit = search_with(with_fixed_inertia(experiment_of(tmp_path, spring, rows=slice(8000))), [SPRING]).current
+    without = linearize_fit(with_effects(fit.experiment, [], fit.theta), silent, fit)
+    assert effect_search._joints_as_well_explained(without, fit) == ["j2"]
+    assert effect_search._joints_as_well_explained(fit, fit) == ["j1", "j2"]
+
+
+def test_where_all_is_noise_nothing_is_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: Any, **options: Any) -> Any:
+        raise AssertionError
+
+    monkeypatch.setattr(effect_search, "find_bursts", fail)
+    monkeypatch.setattr(selection_round, "screen_probes", fail)
+    monkeypatch.setattr(effect_search, "find_pairs", fail)
+    search = EffectSearch(experiment_of(tmp_path, nothing), None, 4, silent)
+    search.run()
+    assert search.stopped == ""
+    assert search.last_round is not None
+    assert not search.last_round.has_tried
+    assert search.last_round.inflation == search.current.experiment.runs[0].signals.low_pass.redundancy
 
 
 def test_what_cannot_explain_more_than_what_it_would_replace_is_not_fitted(
@@ -321,7 +356,10 @@ def test_two_effects_that_a_round_rejects_are_found_together(tmp_path: Path, mon
         assert all(one.effect != effect.chosen.effect or one.target != "j1" for one in effect.selection.rejected)
 
 
-@pytest.mark.parametrize(("module", "failing"), [(effect_pair, "fit_trial"), (candidate_fit, "estimate_noise_floor")])
+@pytest.mark.parametrize(
+    ("module", "failing"),
+    [(effect_pair, "screen_pairs"), (effect_pair, "fit_trial"), (candidate_fit, "estimate_noise_floor")],
+)
 def test_a_pair_that_cannot_be_judged_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: Any, failing: str
 ) -> None:
@@ -341,7 +379,7 @@ def test_pairs_are_sought_only_where_more_than_noise_is_left(tmp_path: Path, mon
     """Two effects are missing on the first of two joints."""
     screened = []
 
-    def record(selection: Any, joint: str, progress: Any) -> list[Any]:
+    def record(selection: Any, screening: Any, joint: str, progress: Any) -> list[Any]:
         screened.append(joint)
         return []
 

@@ -92,11 +92,13 @@ def joined_probe(first: Probe, second: Probe) -> Probe:
     """Probe with the columns of two; it is of no effect, so that it has no configuration entry."""
 
     def columns(motion: Motion, model: Linearization) -> Mapping[int, Array]:
-        parts = [(probe.columns(motion, model), probe.coefficient_count) for probe in (first, second)]
+        first_columns = first.columns(motion, model)
+        second_columns = second.columns(motion, model)
+        no_first = np.zeros((first.coefficient_count, len(motion.t)))
+        no_second = np.zeros((second.coefficient_count, len(motion.t)))
         joined = {}
-        for j in sorted(set().union(*(by_joint for by_joint, _ in parts))):
-            rows = [by_joint.get(j, np.zeros((count, len(motion.t)))) for by_joint, count in parts]
-            joined[j] = np.concatenate(rows)
+        for j in sorted(first_columns.keys() | second_columns.keys()):
+            joined[j] = np.concatenate([first_columns.get(j, no_first), second_columns.get(j, no_second)])
         return joined
 
     count = first.coefficient_count + second.coefficient_count
