@@ -9,6 +9,7 @@ from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.regressor import LinearModel
 
 _CHANCE = 0.01  # change of the logarithm of a joint's squared error
+_CLEAR = 0.1  # change of it that is not due to the inaccuracy of an effect elsewhere
 
 
 def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) -> Array:
@@ -49,13 +50,18 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
 def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> bool:
     """True if the held-out data are less likely under the model with an effect than under that without it.
 
-    An effect that the held-out motion does not excite hardly changes the likelihood, and passes. The arguments are
-    those of `held_out_log_change`.
+    An effect that the held-out motion does not excite hardly changes the likelihood, and passes. So does one that is
+    undefined where it acts, such as a play while the teeth are apart, if it makes all rows clearly more likely, those
+    included. The arguments are those of `held_out_log_change`.
     """
-    return held_out_log_change(before, after) > _CHANCE
+    where_defined = held_out_log_change(before, after)
+    if not where_defined > _CHANCE:
+        return False
+    everywhere = held_out_log_change(before, after, before.experiment.equation)
+    return not everywhere < -_CLEAR
 
 
-def held_out_log_change(before: LinearizedFit, after: LinearizedFit) -> float:
+def held_out_log_change(before: LinearizedFit, after: LinearizedFit, row_equation: LinearModel | None = None) -> float:
     """Change of the logarithm of the held-out data's squared error by an effect, summed over the joints.
 
     Each joint's residual counts relative to its own size, so that a joint that still lacks a large effect does not
@@ -66,9 +72,11 @@ def held_out_log_change(before: LinearizedFit, after: LinearizedFit) -> float:
     before
         The model without the effect.
     after
-        The model with it, at the rows where its columns are defined.
+        The model with it.
+    row_equation
+        Equation at whose rows they are compared; None: that with the effect.
     """
-    row_equation = after.experiment.equation
+    row_equation = row_equation or after.experiment.equation
     errors_before = held_out_mean_squares(before, row_equation)
     errors_after = held_out_mean_squares(after, row_equation)
     with np.errstate(invalid="ignore"):

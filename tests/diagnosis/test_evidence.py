@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from disturbed import Array, experiment_of, motion, nothing, silent, torque_on_joint
 
+from idtool.diagnosis import held_out_error
 from idtool.diagnosis.confirmation import contradiction, estimate_on_parts
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.doubts import doubt_about
@@ -169,6 +170,24 @@ def test_held_out_data_are_less_likely_with_what_is_not_there(tmp_path: Path) ->
         before = fitted(experiment)
         after = linearize_fit(with_effects(experiment, [SPRING]), silent, before)
         assert lowers_held_out_likelihood(before, after) is worsens
+
+
+@pytest.mark.parametrize(("after_everywhere", "worsens"), [(0.5, False), (0.97, True), (1.2, True), (np.nan, True)])
+def test_a_play_may_cost_a_little_elsewhere_if_it_explains_the_data_where_it_acts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after_everywhere: float, worsens: bool
+) -> None:
+    """Squared errors that a model with a play may have where its torque is defined, and everywhere."""
+    experiment = experiment_of(tmp_path, nothing, rows=slice(4000))
+    before = fitted(experiment)
+    after = linearize_fit(with_effects(experiment, [SPRING]), silent, before)
+
+    def mean_squares(model: LinearizedFit, row_equation: Any) -> Array:
+        if model is before:
+            return np.array([1.0, np.nan])
+        return np.array([1.02 if row_equation is after.experiment.equation else after_everywhere, np.nan])
+
+    monkeypatch.setattr(held_out_error, "held_out_mean_squares", mean_squares)
+    assert lowers_held_out_likelihood(before, after) is worsens
 
 
 @pytest.mark.parametrize(
