@@ -85,6 +85,7 @@ def test_friction_that_rises_at_low_speed_is_named_and_closes_the_gap(stribeck: 
     assert power_after < 0.1 * power_before
 
 
+@pytest.mark.slow
 def test_play_with_friction_on_the_motor_side_is_found_in_both_parameters(folder: Path) -> None:
     """The best width on a coarse grid is another one with a wrong share of friction."""
     case = Case("backlash", "planar2", (HiddenEffect("backlash", "elbow", None, "strong"),), 718, "refit", 20.0)
@@ -100,6 +101,7 @@ def test_play_with_friction_on_the_motor_side_is_found_in_both_parameters(folder
     assert report["after"]["validation"]["overall"] < 0.7 * report["before"]["validation"]["overall"]
 
 
+@pytest.mark.slow
 def test_a_wide_play_of_a_light_link_is_found_although_friction_slows_the_link_down(folder: Path) -> None:
     """A link that falls without friction would cross the play sooner, so that a play twice as wide would fit best."""
     case = Case("wide", "leg3", (HiddenEffect("backlash", "knee", None, "strong"),), 900, "refit", 20.0)
