@@ -21,7 +21,6 @@ from idtool.diagnosis.effect_profile import effect_profile
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit, evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect
-from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.localization import localize_residual, localize_unexplained
 from idtool.diagnosis.model_selection import fitted_record, is_reportable
 from idtool.diagnosis.records import (
@@ -36,7 +35,7 @@ from idtool.diagnosis.records import (
 from idtool.diagnosis.residual_maps import residual_maps
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN
 from idtool.diagnosis.stages import Stages
-from idtool.diagnosis.trial import FAILURES, with_effects, with_fixed_inertia
+from idtool.diagnosis.trial import FAILURES, with_fixed_inertia
 from idtool.diagnosis.unbiased_delay import with_unbiased_delay
 from idtool.diagnosis.unexplained import (
     RemainingResidual,
@@ -231,7 +230,7 @@ def _fit_with_effects(search: EffectSearch, first: Fit) -> Fit:
     """Fit with all effects found; those with which it fails are removed, the newest first."""
     while search.reported:
         try:
-            return fit(search.model.final_experiment(), search.progress)
+            return fit(search.model.experiment_with(search.reported), search.progress)
         except FAILURES as failure:
             search.remove_failed(search.reported[-1], failure)
     return first
@@ -240,14 +239,14 @@ def _fit_with_effects(search: EffectSearch, first: Fit) -> Fit:
 def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool, stages: Stages) -> list[DiagnosisStep]:
     """Steps of the diagnosis, with the nonlinear parameters of the final model."""
     steps: list[DiagnosisStep] = []
-    previous: LinearizedFit | Fit = first
+    previous = first
     before = errors_of_fit(first)
-    last_with_errors: tuple[LinearizedFit | Fit, ErrorSummary] = (last, errors_of_fit(last))
     for count, effect in enumerate(search.reported, 1):
-        current, after = last_with_errors
+        current = last
         if count < len(search.reported):
             fit_first = partial(_fit_with_first_effects, search, count)
-            current, after = stages.run("the error of a step", fit_first, last_with_errors, is_short=True)
+            current = stages.run("the error of a step", fit_first, last, is_short=True)
+        after = errors_of_fit(current)
         if simulate and current is not last:
             theta = current.estimate.theta
             errors_with_simulation = partial(evaluate_errors, current.experiment, theta, True, search.progress)
@@ -262,8 +261,8 @@ def _step(
     effect: AddedEffect,
     search: EffectSearch,
     last: Fit,
-    previous: LinearizedFit | Fit,
-    current: LinearizedFit | Fit,
+    previous: Fit,
+    current: Fit,
     errors_before: ErrorSummary,
     errors_after: ErrorSummary,
     stages: Stages,
@@ -300,12 +299,9 @@ def _step(
     return replace(step, sentence=step_sentence(step, experiment.model))
 
 
-def _fit_with_first_effects(search: EffectSearch, count: int) -> tuple[LinearizedFit | Fit, ErrorSummary]:
-    """Fit with the first effects found, and its errors."""
-    entries = search.model.entries(search.reported[:count])
-    experiment = with_effects(search.current.experiment, entries, search.current.theta)
-    fitted = linearize_fit(experiment, search.progress)
-    return fitted, evaluate_errors(fitted.experiment, fitted.estimate.theta, False, search.progress)
+def _fit_with_first_effects(search: EffectSearch, count: int) -> Fit:
+    """Fit with the first effects found, made as that of the final model, so that their errors can be compared."""
+    return fit(search.model.experiment_with(search.reported[:count]), search.progress)
 
 
 def _parameters(effect: AddedEffect, last: Fit) -> tuple[dict[str, object], dict[str, object]]:

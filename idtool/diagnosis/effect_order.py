@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from idtool.diagnosis.effect_search import EffectSearch
-from idtool.diagnosis.error_summary import evaluate_errors
+from idtool.diagnosis.error_summary import errors_of_fit
 from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.held_out_error import held_out_log_change
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
-from idtool.diagnosis.trial import with_effects
+from idtool.estimation.fit import fit
 
 MAX_ERROR_RATIO = 1.0005  # of the errors with an effect and without it, over all joints
 _MIN_EXCUSE = 0.1  # decrease of the logarithm of a joint's squared error where the direction of friction is known
@@ -94,8 +94,8 @@ class StepErrors:
             before = after
 
     def _evaluate(self, effects: Sequence[AddedEffect]) -> Errors:
-        fitted = _fit_with(self._search, effects)
-        return evaluate_errors(fitted.experiment, fitted.estimate.theta, False, self._search.progress).torque
+        fitted = fit(self._search.model.experiment_with(effects), self._search.progress)
+        return errors_of_fit(fitted).torque
 
 
 def first_harmful(
@@ -135,7 +135,7 @@ def _helps_where_friction_is_known(search: EffectSearch, effect: AddedEffect) ->
     """True if an effect lowers the held-out error but for samples at rest and near reversals."""
     without = _fit_with(search, _others(search, effect))
     with_all = _fit_with(search, search.reported)
-    return held_out_log_change(without, with_all) < -_MIN_EXCUSE
+    return held_out_log_change(without, with_all, with_all.experiment.equation) < -_MIN_EXCUSE
 
 
 def _others(search: EffectSearch, effect: AddedEffect) -> list[AddedEffect]:
@@ -145,6 +145,4 @@ def _others(search: EffectSearch, effect: AddedEffect) -> list[AddedEffect]:
 
 def _fit_with(search: EffectSearch, effects: Sequence[AddedEffect]) -> LinearizedFit:
     """Fit of the model with some of the effects."""
-    entries = search.model.entries(effects)
-    experiment = with_effects(search.current.experiment, entries, search.current.theta)
-    return linearize_fit(experiment, search.progress)
+    return linearize_fit(search.model.experiment_with(effects), search.progress)

@@ -146,10 +146,9 @@ class ExtendedModel:
         """The configuration's effects and some of those added, with errors of nonlinear parameters."""
         return [*self._configured, *(_with_errors(effect) for effect in effects)]
 
-    def final_experiment(self) -> Experiment:
-        """The experiment with all effects found."""
-        entries = self.entries(self.reported)
-        return with_effects(self.current.experiment, entries, self.current.estimate.theta)
+    def experiment_with(self, effects: Sequence[AddedEffect]) -> Experiment:
+        """The experiment with some of the effects found, as it is reported: without the background."""
+        return with_effects(self.current.experiment, self.entries(effects), self.current.estimate.theta)
 
     def set_reversal_margin(self, margin: float) -> None:
         """Use only rows at least ``margin`` [s] away from reversals."""

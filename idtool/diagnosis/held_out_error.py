@@ -9,7 +9,7 @@ from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.regressor import LinearModel
 
 _CHANCE = 0.01  # change of the logarithm of a joint's squared error
-_CLEAR = 0.1  # change of it that is not due to the inaccuracy of an effect elsewhere
+_CLEAR = 0.1  # change of it that an effect brings which is right, whatever its inaccuracy costs elsewhere
 
 
 def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) -> Array:
@@ -50,18 +50,26 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
 def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> bool:
     """True if the held-out data are less likely under the model with an effect than under that without it.
 
-    An effect that the held-out motion does not excite hardly changes the likelihood, and passes. So does one that is
-    undefined where it acts, such as a play while the teeth are apart, if it makes all rows clearly more likely, those
-    included. The arguments are those of `held_out_log_change`.
+    The two are compared at the rows at which the model with the effect is defined. A play is not defined while its
+    teeth are apart, which is where it acts. It is therefore also right if it makes all rows together clearly more
+    likely. An effect that the held-out motion does not excite hardly changes the likelihood, and is not rejected.
+
+    Parameters
+    ----------
+    before
+        The model without the effect.
+    after
+        The model with it.
     """
-    where_defined = held_out_log_change(before, after)
-    if not where_defined > _CHANCE:
+    change_where_defined = held_out_log_change(before, after, after.experiment.equation)
+    if not change_where_defined > _CHANCE:
         return False
-    everywhere = held_out_log_change(before, after, before.experiment.equation)
-    return not everywhere < -_CLEAR
+    change_at_all_rows = held_out_log_change(before, after, before.experiment.equation)
+    is_clearly_more_likely = change_at_all_rows < -_CLEAR
+    return not is_clearly_more_likely
 
 
-def held_out_log_change(before: LinearizedFit, after: LinearizedFit, row_equation: LinearModel | None = None) -> float:
+def held_out_log_change(before: LinearizedFit, after: LinearizedFit, row_equation: LinearModel) -> float:
     """Change of the logarithm of the held-out data's squared error by an effect, summed over the joints.
 
     Each joint's residual counts relative to its own size, so that a joint that still lacks a large effect does not
@@ -74,9 +82,8 @@ def held_out_log_change(before: LinearizedFit, after: LinearizedFit, row_equatio
     after
         The model with it.
     row_equation
-        Equation at whose rows they are compared; None: that with the effect.
+        Equation whose columns must be defined at a row for it to count.
     """
-    row_equation = row_equation or after.experiment.equation
     errors_before = held_out_mean_squares(before, row_equation)
     errors_after = held_out_mean_squares(after, row_equation)
     with np.errstate(invalid="ignore"):

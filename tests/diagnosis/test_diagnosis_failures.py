@@ -125,10 +125,10 @@ def test_an_effect_that_only_the_last_fit_cannot_have_is_left_out(
 def test_a_step_whose_own_model_cannot_be_fitted_has_the_errors_of_the_whole(
     arm: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def linearize_fit(experiment: Experiment, *others: Any) -> Any:
+    def fit_with_first_effects(*arguments: Any) -> Any:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr(module, "linearize_fit", linearize_fit)
+    monkeypatch.setattr(module, "_fit_with_first_effects", fit_with_first_effects)
     found = diagnosed(arm)
     assert named(found) == {SPRING, OFFSET}
     for step in found.steps:
@@ -265,6 +265,19 @@ def test_what_was_found_before_ctrl_c_is_reported(arm: Experiment, monkeypatch: 
     assert found.after.validation is not None
     interrupted = [notice for notice in found.notices if notice.code == "search_interrupted"]
     assert len(interrupted) == (count[0] >= calls + 2)
+
+
+def test_ctrl_c_at_the_time_limit_ends_the_search_once(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    search = EffectSearch(arm, EFFECTS, 3, silent, budget=0.0)
+
+    def interrupt(self: EffectSearch) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(EffectSearch, "_run", interrupt)
+    monkeypatch.setattr(ExtendedModel, "settle", lambda model: search.progress("fitting", 0.0))
+    search.run()
+    assert search.is_interrupted
+    assert search.stopped == "the search was interrupted"
 
 
 def test_a_budget_ends_the_search(arm: Experiment) -> None:

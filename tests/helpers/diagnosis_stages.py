@@ -2,7 +2,7 @@
 
 STAGES = (
     "find_data_faults",
-    "linearize_fit",
+    "_fit_with_first_effects",
     "evaluate_errors",
     "_fit_with_first_effects",
     "residual_structure",
