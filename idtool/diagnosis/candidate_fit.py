@@ -7,17 +7,16 @@ to be negligible, implausible or not determined by the data.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.held_out_error import held_out_mean_squares, lowers_held_out_likelihood
-from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.model_selection import FittedCandidate, block_gains, is_reportable
 from idtool.diagnosis.noise_floor import estimate_noise_floor
 from idtool.diagnosis.screen import ScreenedProbe
-from idtool.diagnosis.trial import FAILURES, TrialFit, failure_reason, fit_trial, parameter_value
+from idtool.diagnosis.trial import FAILURES, TrialFit, failure_reason, fit_trial, on_rows_of, parameter_value
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.joint_effect import JointEffect
@@ -27,6 +26,7 @@ from idtool.robot.config import EffectEntry
 
 _MAX_GAUSS_NEWTON_STEPS = 5  # of the fit of a candidate for which one step is not enough
 _MIN_SHARE_OF_SCREENED_GAIN = 0.8  # that a fit must reach; otherwise, other effects are fitted anew with it
+MIN_REPLACING_GAIN_RATIO = 0.75  # to the gain of what a candidate is to replace, where a fit explains what it promises
 _MAX_HELD_OUT_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
 _MAX_LOSS_SHARE = 0.2  # largest ratio of the loss in some blocks to the gain in others
 _MIN_PARAMETER_SIGNIFICANCE = 2.5  # least ratio of an optional parameter to its standard error, to be kept
@@ -46,12 +46,14 @@ def fit_and_judge(
     initial: LinearizedFit,
     summary: DataSummary,
     movable: Sequence[int],
+    gain_to_exceed: float,
     progress: Progress,
 ) -> tuple[FittedCandidate, str]:
     """Fit of a candidate with the whole model, and the reason why it is rejected.
 
     The nonlinear parameters of the other effects were found without the candidate, and may imitate it. If it is
-    rejected, or gains clearly less than the screening predicted, they are fitted anew together with it.
+    rejected, or gains clearly less than the screening predicted, they are fitted anew together with it, unless it
+    promises much less than what it is to replace.
 
     Parameters
     ----------
@@ -63,6 +65,8 @@ def fit_and_judge(
         The robot and its data.
     movable
         Indices of the model's effects whose nonlinear parameters may be moved.
+    gain_to_exceed
+        Gain of the effects that it is to replace; 0: none.
     progress
         Callback for the stage and its progress, from 0 to 1.
 
@@ -78,7 +82,8 @@ def fit_and_judge(
     reason = rejection_reason(fitted, base, initial, summary, progress)
     imitators = possible_imitators(base, candidate.probe.joint, movable)
     is_satisfactory = not reason and fitted.gain > _MIN_SHARE_OF_SCREENED_GAIN * candidate.gain
-    if is_satisfactory or not imitators:
+    may_replace = max(fitted.gain, candidate.gain) > MIN_REPLACING_GAIN_RATIO * gain_to_exceed
+    if is_satisfactory or not imitators or not may_replace:
         return fitted, reason
     try:
         refitted = fit_candidate(base, candidate, progress, imitators)
@@ -91,7 +96,7 @@ def fit_and_judge(
 
 
 def fit_candidate(
-    base: LinearizedFit, candidate: ScreenedProbe, progress: Progress, others: Sequence[int] = ()
+    base: LinearizedFit, candidate: ScreenedProbe, progress: Progress, imitators: Sequence[int] = ()
 ) -> FittedCandidate:
     """Candidate fitted with the whole model; raises as `fit_trial`, and if there is no such effect.
 
@@ -103,27 +108,24 @@ def fit_candidate(
         The candidate.
     progress
         Callback for the stage and its progress, from 0 to 1.
-    others
+    imitators
         Indices of the model's effects whose nonlinear parameters are moved with those of the candidate.
     """
     if candidate.entry is None:
         raise ConfigError("effects", "its parameters are out of range")
     entries = (*base.experiment.config.effects, candidate.entry)
-    moving = [*others, len(entries) - 1]
-    max_steps = _MAX_GAUSS_NEWTON_STEPS if others else 1  # screening has found the candidate's own values already
-    trial = fit_trial(base, entries, moving, progress, max_steps=max_steps)
     newest = len(entries) - 1
-    if _undetermined_parameter(trial, newest):  # it may be determined closer to the optimum
+    moving = [*imitators, newest]
+    max_steps = _MAX_GAUSS_NEWTON_STEPS if imitators else 1  # screening has found the candidate's own values already
+    trial = fit_trial(base, entries, moving, progress, max_steps=max_steps)
+    if not imitators and _undetermined_parameter(trial, newest):  # it may be determined closer to the optimum
         trial = fit_trial(base, trial.entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
     if _undetermined_parameter(trial, newest):  # it may be determined if there is nothing else to determine
         simpler = without_insignificant_parameters(trial.entries[-1], _errors_of_effect(trial, newest))
         if simpler is not trial.entries[-1]:
             simpler_entries = (*trial.entries[:-1], simpler)
             trial = fit_trial(base, simpler_entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
-    has_own_rows = trial.linearized.row_experiment is not base.row_experiment
-    if others and has_own_rows:  # a candidate that is undefined where it acts keeps its own
-        on_rows_of_base = linearize_fit(trial.linearized.experiment, progress, base)
-        trial = replace(trial, linearized=on_rows_of_base)
+    trial = on_rows_of(base, trial, progress)
     return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
 
 

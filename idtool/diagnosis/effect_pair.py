@@ -21,7 +21,7 @@ from idtool.diagnosis.candidate_fit import (
     possible_imitators,
     rejection_reason,
 )
-from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.model_selection import (
     MIN_SIGNIFICANCE,
     FittedCandidate,
@@ -36,7 +36,7 @@ from idtool.diagnosis.model_selection import (
 from idtool.diagnosis.quiet_joints import quiet_joints
 from idtool.diagnosis.screen import ScreenedProbe, screen_pairs
 from idtool.diagnosis.summarize_data import summarize_data
-from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, has_fixed_inertia
+from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, has_fixed_inertia, on_rows_of
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.estimation.dataset.experiment import Progress
@@ -209,10 +209,7 @@ def _fit_pair(
     newest = [len(entries) - 2, len(entries) - 1]
     moving = [*possible_imitators(base, joint, movable), *newest]
     trial = fit_trial(base, entries, moving, progress, _MAX_GAUSS_NEWTON_STEPS)
-
-    if trial.linearized.row_experiment is not base.row_experiment:  # a backlash was fitted anew
-        on_rows_of_base = linearize_fit(trial.linearized.experiment, progress, base)
-        trial = replace(trial, linearized=on_rows_of_base)
+    trial = on_rows_of(base, trial, progress)  # a backlash may have been fitted anew
     gains = block_gains(base, trial.linearized)
     both = FittedCandidate(second, trial, gains)
     if rejection_reason(both, base, initial, summary, progress, new_count=2):

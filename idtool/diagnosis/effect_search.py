@@ -142,7 +142,7 @@ class EffectSearch:
         return self.model.reported
 
     def progress(self, stage: str, share: float) -> None:
-        """Report progress; ends the search where its time is over."""
+        """Report progress; raises `_TimeLimitError` once the search's time is over."""
         self._report_progress(stage, share)
         if self._deadline is not None and time.monotonic() > self._deadline:
             self._deadline = None
@@ -156,7 +156,8 @@ class EffectSearch:
         ConfigError
             If the model cannot have it.
         """
-        selection = fit_assumed_effect(self.current, self.progress, effect, target, self._bursts())
+        bursts = self._unexplained_bursts() if effect_types()[effect].acts_in_bursts else ()
+        selection = fit_assumed_effect(self.current, self.progress, effect, target, bursts)
         reason = "cannot be fitted to these data"
         if selection.winner is not None:
             reason = self._try_add(selection, selection.winner, is_assumed=True)
@@ -191,6 +192,7 @@ class EffectSearch:
 
     def _stop(self, reason: str, advice: str) -> None:
         """Return to the last model that was complete."""
+        self._deadline = None  # what remains to be done is short
         self.stopped = reason
         self.advice = advice
         state, removed = self._last_complete
@@ -285,10 +287,10 @@ class EffectSearch:
                 self.initial,
                 self.progress,
                 effects,
-                self._bursts,
-                min_share,
-                skipped,
-                self.model.movable,
+                self._unexplained_bursts,
+                min_share=min_share,
+                skipped=skipped,
+                movable=self.model.movable,
             )
             if selection.has_tried or self.last_round is None:
                 self.last_round = selection
@@ -315,12 +317,14 @@ class EffectSearch:
         selection = self.last_round
         if selection is None or selection.screening is None or len(self.reported) + 2 > self._max_effects:
             return False
-        pairs = find_pairs(selection, selection.screening, self.initial, self.model.movable, self.progress)
-        if not any(self._try_add_pair(selection, pair) for pair in pairs):
+        if selection.base is not self.current:  # the model has changed since that round
             return False
-        self._prune()
-        self._keep_as_complete()
-        return True
+        for pair in find_pairs(selection, selection.screening, self.initial, self.model.movable, self.progress):
+            if self._try_add_pair(selection, pair):
+                self._prune()
+                self._keep_as_complete()
+                return True
+        return False
 
     def _try_add_pair(self, selection: SelectionStep, pair: FittedEffectPair) -> bool:
         """Add two effects; False if the model cannot be fitted with them or is worse on the held-out data."""
@@ -339,13 +343,13 @@ class EffectSearch:
     def _reversal_effects(self) -> tuple[str, ...]:
         """Ids of the effects to try that act at reversals."""
         ids = []
-        for id, kind in effect_types().items():
-            is_tried = self._effects is None or id in self._effects
+        for effect_id, kind in effect_types().items():
+            is_tried = self._effects is None or effect_id in self._effects
             if is_tried and (kind.is_friction or kind.acts_at_reversals):
-                ids.append(id)
+                ids.append(effect_id)
         return tuple(ids)
 
-    def _bursts(self) -> Bursts:
+    def _unexplained_bursts(self) -> Bursts:
         """Time intervals with an unusually large residual, in logs in which no effect explains them yet."""
         explained_logs = set()
         for effect in self.added:
@@ -407,11 +411,16 @@ class EffectSearch:
         """Replace an effect by one that explains more; False if none does, as where all joints are quiet."""
         if are_all_quiet(self.current, self.progress):
             return False
-        return self._replace_first([(effect,) for effect in self.reported])
+        return self._replace_first([(effect,) for effect in self._replaceable])
 
     def _replace_two(self) -> bool:
         """Replace two effects by one that explains as much; False if none does."""
-        return self._replace_first(list(combinations(self.reported, 2)))
+        return self._replace_first(list(combinations(self._replaceable, 2)))
+
+    @property
+    def _replaceable(self) -> list[AddedEffect]:
+        """The effects that another one may replace: those that the user did not give."""
+        return [effect for effect in self.reported if not effect.is_assumed]
 
     def _replace_first(self, choices: Sequence[tuple[AddedEffect, ...]]) -> bool:
         """Replace the first of several sets of effects for which another one is better; False if there is none."""
@@ -470,7 +479,7 @@ class EffectSearch:
                 self.initial,
                 self.progress,
                 self._effects,
-                self._bursts,
+                self._unexplained_bursts,
                 movable=self.model.movable,
                 explained_joints=_joints_as_well_explained(without, other),
                 gain_to_exceed=float(block_gains(without, other).sum()),
@@ -492,7 +501,7 @@ class EffectSearch:
         Parameters
         ----------
         other
-            The other model, on the rows and in the units of the next.
+            The other model, on the rows and in the units of ``without``.
         without
             The model without the effects in which the two differ.
         is_simpler
@@ -504,8 +513,8 @@ class EffectSearch:
             return False
         gains = block_gains(other, present)
         gain = float(gains.sum())
-        significant = _MIN_REPLACEMENT_GAIN * sum_standard_error(gains)
-        return gain > -significant if is_simpler else gain > significant
+        significant_gain = _MIN_REPLACEMENT_GAIN * sum_standard_error(gains)
+        return gain > -significant_gain if is_simpler else gain > significant_gain
 
     def _remove_doubtful(self) -> bool:
         """Remove effects that are not determined or for which the evidence is not enough; False if there are none."""
@@ -543,7 +552,10 @@ class EffectSearch:
         """Remove effects for which the evidence is not enough, one after the other."""
         while self.reported:
             entries = [effect.entry for effect in self.reported]
-            without = self.model.without_each()
+            try:
+                without = self.model.without_each()
+            except FAILURES:  # no evidence against any of them
+                return
             assumed = [i for i, effect in enumerate(self.reported) if effect.is_assumed]
             unproven = find_unproven(self.current, entries, without, self.progress, assumed)
             if unproven is None:
@@ -555,9 +567,11 @@ class EffectSearch:
             self._keep_as_complete()
 
     def _prune(self) -> None:
-        """Remove effects that are no longer worthwhile, except the newest."""
+        """Remove effects that are no longer worthwhile, except the newest and those that the user gave."""
         newest = self.added[-1]
         for effect in self.added[:-1]:
+            if effect.is_assumed:
+                continue
             others = [other.entry for other in self.added if other is not effect]
             is_needed = self._is_needed(effect, [*self.model.given, *others])
             if is_needed or self.model.try_drop([effect]):

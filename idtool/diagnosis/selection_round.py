@@ -12,13 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.processes import in_processes, process_count
-from idtool.diagnosis.candidate_fit import fit_and_judge, fit_candidate, not_fitted_reason
+from idtool.diagnosis.candidate_fit import (
+    MIN_REPLACING_GAIN_RATIO,
+    fit_and_judge,
+    fit_candidate,
+    not_fitted_reason,
+)
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.model_selection import (
     MIN_SHARE,
@@ -44,6 +50,7 @@ from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import Burst, DataSummary
 from idtool.dynamics.effects.fixed_effect import FixedEffect
 from idtool.dynamics.effects.joint_effect import JointEffect
+from idtool.dynamics.effects.link_effect import LinkEffect
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
 
@@ -53,10 +60,10 @@ _MAX_REFINED = 7  # candidates that are screened again on a finer grid
 _STARTS_ON_GRID = 3  # probes that are refined of a candidate whose residual jumps with its parameters
 _REFINEMENTS = 2  # times, since the best value of a parameter depends on that of another
 _REFINEMENT_POINTS = 7  # values that are screened again between the neighbours of a value in the grid
+_JOINT_REFINEMENT_POINTS = 5  # of each parameter, where several are changed together
 _MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, those that are then rejected included
 _MIN_GAIN_RATIO = 0.4  # to the gain of the best accepted candidate, for a candidate to be fitted
 _MIN_FIRST_ORDER_GAIN_RATIO = 0.2  # likewise, where a fit may explain much more than the screening
-_MIN_REPLACING_GAIN_RATIO = 0.75  # to the gain of what a candidate is to replace, where a fit explains what it promises
 
 
 def find_best_effect(
@@ -95,9 +102,9 @@ def find_best_effect(
     movable
         Indices of the model's effects whose nonlinear parameters may be moved.
     explained_joints
-        Joints on which nothing is expected. As on quiet joints, one probe is tried instead of the whole grid.
+        Joints that need no effect in place of those that it is to replace.
     gain_to_exceed
-        Gain of what an effect is to replace; candidates that promise much less are not fitted.
+        Gain of the effects that it is to replace. Candidates that promise much less are not fitted.
     """
     quiet = quiet_joints(base, progress)
     if quiet.issuperset(base.experiment.equation.joints):
@@ -107,8 +114,10 @@ def find_best_effect(
     reference = with_nonlinear_parameters_free(base, movable, progress)
     screening = _screen_all(reference, summary, effects, quiet.union(explained_joints), skipped, progress)
     refined = _refine(reference, screening.screened, progress)
-    candidates = [candidate for candidate in refined if _may_exceed(candidate, gain_to_exceed)]
-    fits = _fit_best_candidates(base, initial, candidates, summary, screening.inflation, movable, progress)
+    candidates = [candidate for candidate in refined if _may_replace(candidate, gain_to_exceed, explained_joints)]
+    fits = _fit_best_candidates(
+        base, initial, candidates, summary, screening.inflation, movable, gain_to_exceed, progress
+    )
     return select_best(base, screening, fits, movable, progress, min_share)
 
 
@@ -179,6 +188,7 @@ def _fit_best_candidates(
     summary: DataSummary,
     inflation: float,
     movable: Sequence[int],
+    gain_to_exceed: float,
     progress: Progress,
 ) -> FullFits:
     """Candidates fitted with the whole model, until their gain is due to chance or far below that of an accepted one.
@@ -195,6 +205,8 @@ def _fit_best_candidates(
         Number of rows that are worth one independent row.
     movable
         Indices of the model's effects whose nonlinear parameters may be moved.
+    gain_to_exceed
+        Gain of the effects that one is to replace.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
@@ -204,7 +216,9 @@ def _fit_best_candidates(
 
     def fit_and_judge_one(candidate: ScreenedProbe, progress: Progress) -> _Judged | Exception:
         try:
-            fitted, rejection_reason = fit_and_judge(candidate, base, initial, summary, movable, progress)
+            fitted, rejection_reason = fit_and_judge(
+                candidate, base, initial, summary, movable, gain_to_exceed, progress
+            )
         except FAILURES as failure:
             return failure
         return _Judged(trial_to_bytes(fitted.trial), fitted.gains, rejection_reason)
@@ -272,11 +286,25 @@ def _min_gain_ratio(candidate: ScreenedProbe) -> float:
     return _MIN_FIRST_ORDER_GAIN_RATIO if is_first_order else _MIN_GAIN_RATIO
 
 
-def _may_exceed(candidate: ScreenedProbe, gain: float) -> bool:
-    """True if the fit of a candidate may explain more than a gain."""
-    has_coefficients = not issubclass(effect_types()[candidate.probe.effect], FixedEffect)
-    min_ratio = _MIN_REPLACING_GAIN_RATIO if has_coefficients else _min_gain_ratio(candidate)
-    return candidate.gain > min_ratio * gain
+def _may_replace(candidate: ScreenedProbe, gain_to_exceed: float, explained_joints: Collection[str]) -> bool:
+    """True if the fit of a candidate may explain as much as the effects that it is to replace.
+
+    Parameters
+    ----------
+    candidate
+        The candidate.
+    gain_to_exceed
+        Gain of these effects.
+    explained_joints
+        Joints on which the model without them is as good.
+    """
+    kind = effect_types()[candidate.probe.effect]
+    acts_on_own_joint_alone = not issubclass(kind, FixedEffect)
+    if acts_on_own_joint_alone and candidate.probe.joint in explained_joints:
+        return False
+    is_linear = acts_on_own_joint_alone or issubclass(kind, LinkEffect)
+    min_ratio = MIN_REPLACING_GAIN_RATIO if is_linear else _min_gain_ratio(candidate)
+    return candidate.gain > min_ratio * gain_to_exceed
 
 
 def _without_cancelled_noise(candidate: ScreenedProbe, base: LinearizedFit) -> ScreenedProbe:
@@ -393,7 +421,7 @@ def _white_noise_inflation(base: LinearizedFit) -> float:
 
 def _promising(screened: Iterable[ScreenedProbe]) -> list[ScreenedProbe]:
     """Probes that explain something and that physics allows."""
-    return [candidate for candidate in screened if candidate.is_possible and candidate.gain > 0]
+    return [candidate for candidate in screened if candidate.gain > 0 and candidate.is_possible]
 
 
 def _by_gain(screened: Iterable[ScreenedProbe]) -> list[ScreenedProbe]:
@@ -404,8 +432,9 @@ def _by_gain(screened: Iterable[ScreenedProbe]) -> list[ScreenedProbe]:
 def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[ScreenedProbe]) -> Iterator[Probe]:
     """Probes of the candidates on a finer grid: of each, with one nonlinear value changed at a time.
 
-    A parameter that names another joint, one of which a single value was screened, and one whose value is not of the
-    grid any more, is not changed.
+    Of a candidate whose residual jumps with its parameters, all values are changed together: the best value of one
+    depends on those of the others. A parameter that names another joint, one of which a single value was screened, and
+    one whose value is not of the grid any more, is not changed.
 
     Parameters
     ----------
@@ -418,19 +447,27 @@ def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[Scre
         probe = candidate.probe
         alike = [other.probe for other in screened if probe_key(other.probe) == probe_key(probe)]
         joint_parameters = effect_types()[probe.effect].joint_parameters()
+        are_changed_together = _is_searched_on_grid(probe.effect)
+        points = _JOINT_REFINEMENT_POINTS if are_changed_together else _REFINEMENT_POINTS
+        refined: dict[str, list[float]] = {}
         for name, value in probe.nonlinear_values.items():
             grid = sorted({other.nonlinear_values[name] for other in alike})
-            if name in joint_parameters or len(grid) == 1 or value not in grid:
-                continue
-            for refined in _refined_values(value, grid):
-                yield probe.at({**probe.nonlinear_values, name: refined})
+            if name not in joint_parameters and len(grid) > 1 and value in grid:
+                refined[name] = _refined_values(value, grid, points)
+        if are_changed_together:
+            choices = [dict(zip(refined, values, strict=True)) for values in product(*refined.values())]
+        else:
+            choices = [{name: value} for name, values in refined.items() for value in values]
+        for choice in choices:
+            if choice:
+                yield probe.at({**probe.nonlinear_values, **choice})
 
 
-def _refined_values(value: float, grid: Sequence[float]) -> list[float]:
+def _refined_values(value: float, grid: Sequence[float], points: int) -> list[float]:
     """Values between the neighbours of a value in an ascending grid; at an end of the grid, it is its own neighbour."""
     position = grid.index(value)
     low = grid[max(position - 1, 0)]
     high = grid[min(position + 1, len(grid) - 1)]
     spaced = np.geomspace if low > 0 else np.linspace
-    inner = spaced(low, high, _REFINEMENT_POINTS + 2)[1:-1]
+    inner = spaced(low, high, points + 2)[1:-1]
     return [float(x) for x in inner]

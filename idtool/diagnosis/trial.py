@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import product
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import IdtoolError
 from idtool.data.signals import Motion
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
-from idtool.diagnosis.screen import screen_probes, with_free_parameters
+from idtool.diagnosis.screen import ScreenedProbe, screen_probes, with_free_parameters
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.dynamics.effects import build_effects, effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
@@ -32,6 +33,7 @@ from idtool.robot.inertia import PI_SIZE
 
 ParameterKey = tuple[int, str]  # place in the configuration's effects, and name of the parameter
 Range = tuple[float, float]
+GridPlace = tuple[int, ...]  # by parameter, the number of steps from where a grid search starts
 
 FAILURES = (IdtoolError, ArithmeticError, ValueError, RuntimeError)  # raised where a model cannot be fitted
 
@@ -42,9 +44,10 @@ _MIN_STEP_REFERENCE = 1e-3  # a smaller value counts as this in the limit of a s
 _STEP_LENGTHS = (1.0, 0.3)  # of a Gauss-Newton step, tried in turn
 _MIN_STEP_GAIN = 1e-4  # of the squared residual, that makes another step worthwhile
 _RANGE_MARGIN = 2.0  # ratio by which a range exceeds the values that the search tries, at both ends
-_GRID_RATIOS = (0.8, 0.86, 0.93, 1.0, 1.07, 1.15, 1.24)  # to the present value, tried in a grid search
-_GRID_SHARE_STEPS = (-0.15, -0.1, -0.05, 0.0, 0.05, 0.1, 0.15)  # from the present share of a maximum, likewise
-_GRID_PASSES = 2  # over the parameters of a grid search
+_GRID_RATIO = 1.05  # of values one shortest step apart in a grid search
+_GRID_SHARE_STEP = 0.04  # shortest step of a value between 0 and a maximum, as a share of that
+_GRID_STEPS = (2, 1)  # lengths of the steps in turn, in units of the shortest
+_MAX_GRID_MOVES = 8  # of each length
 _NEAR_BEST_RATIO = 0.9  # to the largest gain, from which a value is as good as the best
 _UNBOUNDED: Range = (-np.inf, np.inf)
 _FIXED_INERTIA = "--inertia fixed"
@@ -187,6 +190,26 @@ def fit_trial(
         if has_converged:
             break
     return TrialFit(current, errors, ranges)
+
+
+def on_rows_of(base: LinearizedFit, trial: TrialFit, progress: Progress) -> TrialFit:
+    """Trial whose fit is on the rows of another one, so that their residuals can be compared.
+
+    A fit with an effect that is undefined where it acts has fewer rows of its own. Its smaller residual would count as
+    explained.
+
+    Parameters
+    ----------
+    base
+        The fit to compare with.
+    trial
+        The trial.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    """
+    if trial.linearized.row_experiment is base.row_experiment:
+        return trial
+    return replace(trial, linearized=linearize_fit(trial.linearized.experiment, progress, base))
 
 
 def _parameter_ranges(
@@ -394,9 +417,9 @@ def _grid_search(
 ) -> tuple[LinearizedFit, dict[ParameterKey, float]]:
     """Fit with the values near the present ones that explain most, and the values' standard errors.
 
-    Parameters are searched for in turn, since the best value of one depends on those of the others. Each set of values
-    is a probe about the model without the effect. A standard error is half the range of values that explain nearly as
-    much as the best, at least half a step of the grid.
+    A pattern search (Hooke & Jeeves 1961) over all parameters together, since the best value of one depends on those of
+    the others. Each set of values is a probe about the model without the effect. A standard error is half the range of
+    values that explain nearly as much as the best, at least half the shortest step.
 
     Parameters
     ----------
@@ -413,35 +436,57 @@ def _grid_search(
     without = linearize_fit(reduced, progress, current, own_rows=True)
     summary = summarize_data(without)
     joint = current.experiment.equation.joints.index(str(entries[i].joint))
-    nonlinear_values = _nonlinear_values(entries[i], kind)
+    start = _nonlinear_values(entries[i], kind)
     names = [name for name in kind.grid_parameters() if name in entries[i].parameters]  # what was left out stays so
 
+    def values_at(place: GridPlace) -> dict[str, float]:
+        """Values of all parameters at a place, given by the number of shortest steps from the start by name."""
+        moved = {name: _grid_value(kind, name, start[name], n) for name, n in zip(names, place, strict=True)}
+        return {**start, **moved}
+
+    gains: dict[GridPlace, float] = {}
+    best: GridPlace = (0,) * len(names)
+    for step in _GRID_STEPS:
+        for _ in range(_MAX_GRID_MOVES):
+            neighbours = list(product(*((n - step, n, n + step) for n in best)))
+            new = [place for place in neighbours if place not in gains]
+            probes = [kind.probe(summary, joint, values_at(place)) for place in new]
+            screened = screen_probes(without, probes, progress, "trying parameter values")
+            gains |= {place: _gain_with_unit_coefficient(one) for place, one in zip(new, screened, strict=True)}
+            previous = best
+            best = max(neighbours, key=lambda place: gains[place])
+            if gains[best] == gains[previous]:
+                best = previous
+                break
+
+    min_gain = gains[best] - (1 - _NEAR_BEST_RATIO) * abs(gains[best])
+    near_best = [values_at(place) for place, gain in gains.items() if gain >= min_gain]
+    values = values_at(best)
+    one_step_on = values_at(tuple(n + 1 for n in best))
+    one_step_back = values_at(tuple(n - 1 for n in best))
     errors: dict[ParameterKey, float] = {}
-    for name in _GRID_PASSES * names:
-        values = _grid_values(kind, name, nonlinear_values[name])
-        probes = [kind.probe(summary, joint, {**nonlinear_values, name: value}) for value in values]
-        gains = [screened.gain for screened in screen_probes(without, probes, progress, "trying parameter values")]
-        place = int(np.argmax(gains))
-        nonlinear_values[name] = values[place]
-
-        min_gain = max(gains) - (1 - _NEAR_BEST_RATIO) * abs(max(gains))
-        near_best = [value for value, gain in zip(values, gains, strict=True) if gain >= min_gain]
-        grid_step = abs(values[place] - values[place - 1 if place else 1])
-        errors[i, name] = max(max(near_best) - min(near_best), grid_step) / 2
-
     for name in names:
-        entries[i] = _with_value(entries[i], name, nonlinear_values[name])
+        spread = float(np.ptp([near[name] for near in near_best]))
+        shortest_step = max(one_step_on[name] - values[name], values[name] - one_step_back[name])
+        errors[i, name] = max(spread, shortest_step) / 2
+        entries[i] = _with_value(entries[i], name, values[name])
     changed = with_effects(current.experiment, entries, current.theta)
     return linearize_fit(changed, progress, current, own_rows=kind.is_undefined_where_it_acts), errors
 
 
-def _grid_values(kind: type[JointEffect], name: str, value: float) -> list[float]:
-    """Values of a parameter about one, ascending."""
+def _gain_with_unit_coefficient(screened: ScreenedProbe) -> float:
+    """Gain of a probe whose coefficient is 1, as that of an effect without coefficients is, and not the best one."""
+    deviation = screened.c - 1.0
+    return screened.gain - float(deviation @ screened.information @ deviation)
+
+
+def _grid_value(kind: type[JointEffect], name: str, value: float, steps: int) -> float:
+    """Value of a parameter some shortest steps from another one."""
     (parameter,) = (parameter for parameter in kind.nonlinear_parameters if parameter.name == name)
     if parameter.optional_maximum is None:
-        return [ratio * value for ratio in _GRID_RATIOS]
-    shares = value / parameter.optional_maximum + np.array(_GRID_SHARE_STEPS)
-    return sorted({parameter.optional_maximum * float(share) for share in np.clip(shares, 0.0, 1.0)})
+        return float(value * _GRID_RATIO**steps)
+    share = value / parameter.optional_maximum + steps * _GRID_SHARE_STEP
+    return parameter.optional_maximum * float(np.clip(share, 0.0, 1.0))
 
 
 def _nonlinear_values(entry: EffectEntry, kind: type[JointEffect]) -> dict[str, float]:

@@ -29,7 +29,9 @@ from idtool.diagnosis.error_summary import errors_of_fit
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import probe_key
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN
+from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import TrialFit, with_effects, with_fixed_inertia
+from idtool.dynamics.effects.backlash import Backlash
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import fit
 from idtool.robot.config import EffectEntry
@@ -64,9 +66,9 @@ def as_if_found(search: EffectSearch) -> None:
         effect.is_assumed = False
 
 
-def rejected(candidate: Any, base: Any, initial: Any, summary: Any, movable: Any, progress: Any) -> Any:
+def rejected(candidate: Any, base: Any, *others: Any) -> Any:
     """A candidate's fit, and a reason why it is rejected."""
-    return candidate_fit.fit_candidate(base, candidate, progress), "as this test wants it"
+    return candidate_fit.fit_candidate(base, candidate, silent), "as this test wants it"
 
 
 def owners(search: EffectSearch) -> list[Owner]:
@@ -84,6 +86,7 @@ def test_an_effect_gives_way_to_one_that_explains_more(tmp_path: Path) -> None:
     experiment = experiment_of(tmp_path, together(dry_friction, offset), rows=slice(8000))
     effects = ("viscous_friction", "coulomb_friction", "torque_offset")
     search = search_with(experiment, [OFFSET, ("viscous_friction", "j1")], effects)
+    as_if_found(search)
     search._replace_effects()
     right = [OFFSET, ("coulomb_friction", "j1")]
     assert owners(search) == entries_in_model(search) == right
@@ -99,11 +102,24 @@ def test_two_effects_give_way_to_one_that_explains_as_much(tmp_path: Path) -> No
     experiment = experiment_of(tmp_path, spring, rows=slice(8000))
     effects = ("parallel_spring", "torque_offset", "end_stop")
     search = search_with(experiment, [("torque_offset", "j1"), ("end_stop", "j1")], effects)
+    as_if_found(search)
     assert search._replace_two()
     assert owners(search) == entries_in_model(search) == [SPRING]
     assert [sentence.split(",")[0] for sentence in search.removed] == [
         f"{effect} on j1 was replaced by parallel spring on j1" for effect in ("Torque offset", "End stop")
     ]
+
+
+def test_what_the_user_assumes_stays(tmp_path: Path) -> None:
+    """Viscous friction beside the dry friction that is there, and a stop and an offset in place of a spring."""
+    experiment = experiment_of(tmp_path, together(spring, dry_friction), rows=slice(8000))
+    assumed = [("viscous_friction", "j1"), ("torque_offset", "j1"), ("end_stop", "j1")]
+    effects = ("viscous_friction", "coulomb_friction", "torque_offset", "end_stop", "parallel_spring")
+    search = search_with(experiment, assumed, effects)
+    search._add_effects()
+    search._replace_effects()
+    assert set(owners(search)) >= {*assumed, ("coulomb_friction", "j1")}
+    assert not search.removed
 
 
 def test_what_was_found_beside_the_same_effects_is_not_searched_for_again(
@@ -165,6 +181,36 @@ def test_on_joints_where_nothing_is_expected_one_value_of_each_parameter_is_trie
     assert selection.screening is not None
     count = Counter(one.probe.joint for one in selection.screening.screened if one.probe.effect == "end_stop")
     assert count["j1"] > count["j2"] == 1
+
+
+@pytest.mark.parametrize(("joint", "is_fitted"), [("j1", False), ("j2", True)])
+def test_what_acts_on_a_joint_that_needs_no_effect_replaces_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, joint: str, is_fitted: bool
+) -> None:
+    fit = EffectSearch(experiment_of(tmp_path, spring, rows=slice(8000)), None, 4, silent).current
+    fitted = []
+
+    def fit_and_judge(candidate: Any, *others: Any) -> Any:
+        fitted.append(candidate.probe.joint)
+        return rejected(candidate, *others)
+
+    monkeypatch.setattr(selection_round, "fit_and_judge", fit_and_judge)
+    monkeypatch.setattr(processes, "process_count", lambda: 1)
+    monkeypatch.setattr(selection_round, "process_count", lambda: 1)
+    selection_round.find_best_effect(fit, fit, silent, ("parallel_spring",), explained_joints=[joint])
+    assert ("j1" in fitted) is is_fitted
+
+
+def test_an_effect_that_is_undefined_where_it_acts_is_compared_on_the_same_rows(tmp_path: Path) -> None:
+    """A play has fewer rows of its own: the residual of those left out would count as explained."""
+    base = linearize_fit(experiment_of(tmp_path, spring, rows=slice(8000)), silent)
+    probe = next(probe for probe in Backlash.probes(summarize_data(base)) if probe.joint == "j1")
+    entry = probe.at({"width": 0.01, "motor_friction": 0.5}).to_entry(np.ones(1), np.eye(1))
+    assert entry is not None
+    own = linearize_fit(with_effects(base.experiment, [entry], base.theta), silent, base, own_rows=True)
+    assert own.row_counts.sum() < base.row_counts.sum()
+    on_rows = trial.on_rows_of(base, TrialFit(own, {}, {}), silent)
+    np.testing.assert_array_equal(on_rows.linearized.row_counts, base.row_counts)
 
 
 def test_what_is_left_out_leaves_more_on_its_joint(tmp_path: Path) -> None:
@@ -404,6 +450,21 @@ def test_parameters_that_cannot_be_freed_stay_as_they_are(tmp_path: Path, monkey
     assert trial.with_nonlinear_parameters_free(search.current, [place], silent) is search.current
 
 
+def test_pairs_are_sought_only_of_the_round_that_the_model_comes_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same round, after the model was fitted again."""
+    sought = []
+    monkeypatch.setattr(effect_search, "find_pairs", lambda selection, *others: sought.append(selection) or [])
+    monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
+    search = EffectSearch(experiment_of(tmp_path, spring, rows=slice(8000)), ("parallel_spring",), 4, silent)
+    search._add_effects()
+    assert sought == [search.last_round]
+    search.model.current = linearize_fit(search.current.experiment, silent)
+    assert not search._add_pair()
+    assert len(sought) == 1
+
+
 @pytest.mark.parametrize("max_effects", [4, 1])
 def test_two_effects_that_leave_more_than_noise_are_not_added(tmp_path: Path, max_effects: int) -> None:
     """Torque that no effect has, of which a pair would explain a part."""
@@ -581,7 +642,7 @@ def test_an_effect_that_increases_the_error_only_at_reversals_stays_if_it_helps_
     """By errors that are given here: with the effect, they are larger if all samples count."""
     search = search_with(experiment_of(tmp_path, spring, rows=slice(4000)), [SPRING])
     give_errors(monkeypatch, [1.2])
-    monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after: log_change)
+    monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after, row_equation: log_change)
     order_effects(search, {"overall": 1.0})
     assert owners(search) == left
 
@@ -599,6 +660,6 @@ def test_effects_that_help_only_together_stay(
     experiment = experiment_of(tmp_path, spring, rows=slice(4000))
     search = search_with(experiment, [SPRING, OFFSET])
     give_errors(monkeypatch, [alone, together])
-    monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after: 0.5)
+    monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after, row_equation: 0.5)
     order_effects(search, {"overall": 1.0})
     assert sorted(owners(search)) == sorted(left)
