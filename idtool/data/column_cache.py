@@ -10,12 +10,15 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from hashlib import blake2b
+from typing import Generic, TypeVar
 
 from typing_extensions import override
 
 from idtool.common.arrays import Array
 
 _MAX_BYTES = 512 << 20
+
+Owner = TypeVar("Owner")
 
 
 class ColumnCache:
@@ -105,7 +108,7 @@ class KeptColumns:
         return arrays
 
 
-class IdentityKey:
+class IdentityKey(Generic[Owner]):
     """Key that is equal to another only if both are of the very same object.
 
     Parameters
@@ -114,7 +117,7 @@ class IdentityKey:
         The object; kept alive, so that no other one has the same id.
     """
 
-    def __init__(self, owner: object) -> None:
+    def __init__(self, owner: Owner) -> None:
         self.owner = owner
 
     @override

@@ -5,19 +5,20 @@ With the model's rows Q (n, r) by y and the probe's columns C (n, k), each block
     [Qᵀ Q + H   Qᵀ C] [y]   [Qᵀ e + g]
     [Cᵀ Q       Cᵀ C] [c] = [Cᵀ e    ]
 
-is solved over the others by the Schur complement of the model: C is projected on what is orthogonal to Q and H. H and g
-are the information and the pull of prior and constraints; at the optimum, g cancels Qᵀ e of all blocks. The sums over
-rows are P = Qᵀ C, h = Cᵀ e and Cᵀ C.
+is solved over the other blocks. H and g are the information and the pull of prior and constraints; g cancels the sum of
+Qᵀ e over all blocks, since the model is at its optimum. y is eliminated by the Schur complement: only the part of C
+counts that the model cannot reproduce. The sums over rows are P = Qᵀ C, h = Cᵀ e and CC = Cᵀ C.
 
-Letters: F blocks; K coefficients of all probes one after the other, of which a probe has k; i probes of k coefficients.
+Letters: F blocks; n samples; r directions y of the model; i probes of k coefficients; K coefficients of all probes.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -25,23 +26,26 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.processes import in_processes, interleaved_shares
-from idtool.data.column_cache import KeptColumns
-from idtool.data.signals import Batch
+from idtool.data.column_cache import IdentityKey, KeptColumns
+from idtool.data.signals import Batch, Motion
 from idtool.diagnosis.linearized_fit import FurtherDirections, LinearizedFit
 from idtool.dynamics.effects.probe import Probe, joined_probe
 from idtool.dynamics.linearized_model import LinearizedModel
+from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Progress, tracked
 from idtool.robot.config import EffectEntry
 
+_STAGE = "screening candidates"
 _MIN_PROBES_TO_SHARE = 32  # among processes: fewer take about as long as to start one
-_MAX_NUMBERS = 1e7  # in memory at once
+_MAX_NUMBERS = 1e7  # in memory at once, about
 _MAX_COLUMNS = 128  # filtered together
+_MAX_MODELS = 8  # along a batch each, that are kept
 _ROUNDING = 1e-18  # squared norm of a column, in units of the noise, up to which it is 0
 _MIN_VARIANCE = 1e-200  # of a coefficient; it is 0 for a column that the model has too
 _MIN_NEW_SHARE = 1e-5  # of a column's squared norm, that the model cannot reproduce
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ScreenedProbe:
     """A probe and what it explains.
 
@@ -54,14 +58,14 @@ class ScreenedProbe:
     covariance
         Jackknife covariance of the coefficients over blocks, shape (k, k).
     gains
-        Reduction of the squared residual of each block, model and probe being fitted to the others; in units of the
-        noise, shape (F,).
+        Reduction of each block's squared residual, with model and probe fitted to the other blocks, in units of the
+        noise variance, shape (F,).
     information
-        Information of the data on the coefficients, beside the model's, shape (k, k).
+        Information of the data on the coefficients if the model's are free too, shape (k, k): a Schur complement.
     inflation
-        Ratio of the covariance to that of independent rows.
+        Ratio of the coefficients' variance over blocks to that for independent rows.
     failure
-        Exception for which it could not be evaluated; None if it was.
+        Exception because of which it could not be evaluated; None if it could.
     """
 
     probe: Probe
@@ -80,7 +84,7 @@ class ScreenedProbe:
     @property
     def standard_error(self) -> float:
         """Standard error of the gain, from the blocks."""
-        return sum_standard_error(self.gains) if len(self.gains) > 1 else np.inf
+        return sum_standard_error(self.gains)
 
     @property
     def is_possible(self) -> bool:
@@ -93,13 +97,15 @@ class ScreenedProbe:
         return self.probe.to_entry(self.c, self.information)
 
     def marginal_information(self, part: slice) -> Array:
-        """Information of the data on some of the coefficients if the others are free too, shape (k, k) of these."""
+        """Information of the data on the m coefficients in ``part`` if the others are free too, shape (m, m)."""
         covariance = np.linalg.pinv(self.information)
         return np.asarray(np.linalg.pinv(covariance[part, part]))
 
 
 def sum_standard_error(values: Array) -> float:
-    """Standard error of the sum of independent values, shape (F,), from their scatter."""
+    """Standard error of the sum of independent values, shape (F,), from their scatter; infinite for a single one."""
+    if len(values) < 2:
+        return np.inf
     return float(np.sqrt(len(values)) * values.std(ddof=1))
 
 
@@ -134,7 +140,7 @@ class _ProbeSums:
 
 
 def screen_probes(
-    linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str = "screening candidates"
+    linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str = _STAGE
 ) -> list[ScreenedProbe]:
     """Screen the probes, each by itself, by the share of the residual that it explains.
 
@@ -170,63 +176,64 @@ def screen_pairs(
     probes: Sequence[Probe],
     pairs: Sequence[tuple[int, int]],
     progress: Progress,
-    stage: str = "screening candidates",
+    stage: str = _STAGE,
 ) -> list[ScreenedProbe]:
-    """Screen probes two at a time, each pair as a `joined_probe`; the columns of each probe are evaluated once.
+    """Screen pairs of probes, each as a `joined_probe`; the columns of each probe are evaluated once.
+
+    Bounds of the coefficients do not count: a joined probe has none.
 
     Parameters
     ----------
-    linearized
-        The model whose residual they are to explain.
-    probes
-        The hypotheses.
+    linearized, probes, progress, stage
+        As for `screen_probes`.
     pairs
         Indices of the two probes of each pair.
-    progress
-        Callback for the stage and its progress, from 0 to 1.
-    stage
-        Name of this stage.
 
     Raises
     ------
     ArithmeticError, ValueError, RuntimeError
-        If a probe cannot be evaluated.
+        If any of the probes cannot be evaluated.
     """
-    starts = _coefficient_starts(probes)
-    ranges = [np.arange(start, stop) for start, stop in pairwise(starts)]
-    sums = _zero_sums(linearized, probes, products_per_column=int(starts[-1]))
-    for rows in _rows_with_columns(linearized, probes, progress, stage):
-        _add_all_products(sums, rows)
-    joined = [joined_probe(probes[i], probes[j]) for i, j in pairs]
+    sums = _zero_sums(linearized, probes, products_per_column=int(_coefficient_starts(probes)[-1]))
+    for rows in _weighted_batches(linearized, probes, progress, stage):
+        _add_with_cross_products(sums, rows)
+
+    def products_between(index: Indices) -> Array:
+        return sums.CC[:, index[:, :, None], index[:, None, :]]
+
+    ranges = _coefficient_ranges(probes)
     coefficients = [np.concatenate([ranges[i], ranges[j]]) for i, j in pairs]
-    solutions: dict[int, _Solution] = {}
-    for own_pairs in _indices_by_size(joined).values():
-        index = np.array([coefficients[n] for n in own_pairs])  # (i, k)
-        P = sums.P[:, :, index]  # (F, r, i, k)
-        h = sums.h[:, index]  # (F, i, k)
-        CC = sums.CC[:, index[:, :, None], index[:, None, :]]  # (F, i, k, k)
-        solved = _solve_same_size(linearized, [joined[n] for n in own_pairs], P, h, CC)
-        solutions.update(zip(own_pairs, solved, strict=True))
-    return [ScreenedProbe(probe, *solutions[n]) for n, probe in enumerate(joined)]
+    joined = [joined_probe(probes[i], probes[j]) for i, j in pairs]
+    solutions = _solve_all(linearized, joined, sums, coefficients, products_between)
+    return [ScreenedProbe(probe, *solution) for probe, solution in zip(joined, solutions, strict=True)]
 
 
 def with_free_parameters(linearized: LinearizedFit, probe: Probe, progress: Progress) -> LinearizedFit:
-    """Fit with the coefficients of a probe as further parameters, which are free to first order.
+    """Fit in which the coefficients of a probe are free too, to first order.
 
-    Screened against it, a candidate gains what it explains beside their best values. Without a column that the model
-    cannot reproduce, it is the same fit. Letters as above; W whitens the further directions.
+    Screened against it, a candidate gains only what they cannot explain. If the model can reproduce all columns of the
+    probe, the fit is returned as it is.
+
+    Parameters
+    ----------
+    linearized
+        The fit, without `FurtherDirections`.
+    probe
+        The probe.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
     """
     sums = _zero_sums(linearized, [probe], products_per_column=probe.coefficient_count)
     batch_columns = []
-    for rows in _rows_with_columns(linearized, [probe], progress, "screening candidates"):
-        _add_all_products(sums, rows)
+    for rows in _weighted_batches(linearized, [probe], progress, _STAGE):
+        _add_with_cross_products(sums, rows)
         columns = np.zeros((len(rows.Q), probe.coefficient_count, len(rows.e[0])))
         for joint, (index, weighted) in rows.columns.items():
             columns[joint, index] = weighted
         batch_columns.append(columns)
     P, h, CC = sums.P, sums.h, sums.CC
 
-    # whitened, and without what the model's own directions reproduce
+    # W whitens the new directions; X is what the model's own reproduce of them
     total_P = P.sum(axis=0)
     X = np.linalg.solve(linearized.information, total_P)
     information = CC.sum(axis=0) - total_P.T @ X
@@ -239,8 +246,10 @@ def with_free_parameters(linearized: LinearizedFit, probe: Probe, progress: Prog
     XW = X @ W
 
     gram = linearized.gram
-    cross = P @ W - gram @ XW
-    own = W.T @ CC @ W - np.swapaxes(P @ W, 1, 2) @ XW - XW.T @ (P @ W) + XW.T @ gram @ XW
+    PW = P @ W
+    overlap = np.swapaxes(PW, 1, 2) @ XW
+    cross = PW - gram @ XW
+    own = W.T @ CC @ W - overlap - np.swapaxes(overlap, 1, 2) + XW.T @ gram @ XW
     H = linearized.prior_information
     return replace(
         linearized,
@@ -254,8 +263,12 @@ def with_free_parameters(linearized: LinearizedFit, probe: Probe, progress: Prog
 def _solve_group(linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str) -> list[_Solution]:
     """Solve probes together; where that fails, halves of them, until the failing ones are found."""
     try:
-        sums = _accumulate(linearized, probes, progress, stage)
-        return _solve_all(linearized, probes, sums)
+        sums = _sums_by_probe(linearized, probes, progress, stage)
+
+        def own_products(index: Indices) -> Array:
+            return sums.CC[:, index, : index.shape[1]]
+
+        return _solve_all(linearized, probes, sums, _coefficient_ranges(probes), own_products)
     except (ArithmeticError, ValueError, RuntimeError) as failure:
         if len(probes) == 1:
             return [_failed(linearized, probes[0], failure)]
@@ -292,25 +305,44 @@ def _coefficient_starts(probes: Sequence[Probe]) -> Indices:
     return np.cumsum([0, *(probe.coefficient_count for probe in probes)])
 
 
-def _accumulate(linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str) -> _ProbeSums:
-    """Gram matrices of the probes over the training data."""
+def _coefficient_ranges(probes: Sequence[Probe]) -> list[Indices]:
+    """Indices of each probe's coefficients, shape (k,)."""
+    return [np.arange(start, stop) for start, stop in pairwise(_coefficient_starts(probes))]
+
+
+def _sums_by_probe(linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str) -> _ProbeSums:
+    """Gram matrices of the probes over the training data, each column with those of its own probe."""
     starts = _coefficient_starts(probes)
     max_k = max(probe.coefficient_count for probe in probes)
     sums = _zero_sums(linearized, probes, products_per_column=max_k)
     for batch, model, block_index, number in _training_batches(linearized, progress, stage):
         Q, e, valid = _model_rows(linearized, batch, number)
         blocks = _block_slices(block_index)
-        for joint, index, filtered in _probe_columns(probes, starts, batch, model):
-            columns = filtered * (valid[joint] / linearized.noise[joint])
+        for joint, index, columns in _weighted_columns(linearized, probes, batch, model, valid):
             probe_rows = _rows_by_probe(starts, index)
             for f, part in blocks:
                 x = columns[:, part]
-                sums.P[f][:, index] += Q[joint][:, part] @ x.T
-                sums.h[f, index] += x @ e[joint][part]
+                _add_products_with_model(sums, f, index, Q[joint][:, part], e[joint][part], x)
                 for rows in probe_rows:
+                    k = rows.shape[1]
                     own = x[rows]  # (i, k, n)
-                    sums.CC[f, index[rows], : rows.shape[1]] += own @ own.transpose(0, 2, 1)
+                    sums.CC[f, index[rows], :k] += own @ own.transpose(0, 2, 1)
     return sums
+
+
+def _weighted_columns(
+    linearized: LinearizedFit, probes: Sequence[Probe], batch: Batch, model: LinearizedModel, valid: Sequence[Array]
+) -> Iterator[tuple[int, Indices, Array]]:
+    """`_probe_columns` in units of the noise; 0 at samples that do not count."""
+    for joint, index, filtered in _probe_columns(probes, _coefficient_starts(probes), batch, model):
+        weight = valid[joint] / linearized.noise[joint]
+        yield joint, index, filtered * weight
+
+
+def _add_products_with_model(sums: _ProbeSums, f: int, index: Indices, Q: Array, e: Array, columns: Array) -> None:
+    """Add the products of columns, (m, n), with the model's rows, (r, n), and the residual, (n,), in block f."""
+    sums.P[f][:, index] += Q @ columns.T
+    sums.h[f, index] += columns @ e
 
 
 def _zero_sums(linearized: LinearizedFit, probes: Sequence[Probe], products_per_column: int) -> _ProbeSums:
@@ -338,19 +370,18 @@ class _WeightedRows(NamedTuple):
     columns: dict[int, tuple[Indices, Array]]
 
 
-def _rows_with_columns(
+def _weighted_batches(
     linearized: LinearizedFit, probes: Sequence[Probe], progress: Progress, stage: str
 ) -> Iterator[_WeightedRows]:
-    """The model's rows with all columns of some probes, batch after batch of the training data.
+    """Batches of the training data: the model's rows and all columns of the probes, in units of the noise.
 
-    For a number of probes whose columns of a batch fit in memory; `_accumulate` is for any number.
+    All columns of a batch are in memory together: this is for few probes, and `_sums_by_probe` for any number.
     """
-    starts = _coefficient_starts(probes)
     for batch, model, block_index, number in _training_batches(linearized, progress, stage):
         Q, e, valid = _model_rows(linearized, batch, number)
         parts: dict[int, list[tuple[Indices, Array]]] = {}
-        for joint, index, filtered in _probe_columns(probes, starts, batch, model):
-            parts.setdefault(joint, []).append((index, filtered * (valid[joint] / linearized.noise[joint])))
+        for joint, index, columns_of_joint in _weighted_columns(linearized, probes, batch, model, valid):
+            parts.setdefault(joint, []).append((index, columns_of_joint))
         columns = {}
         for joint, own_parts in parts.items():
             indices, weighted = zip(*own_parts, strict=True)
@@ -358,13 +389,12 @@ def _rows_with_columns(
         yield _WeightedRows(Q, e, _block_slices(block_index), columns)
 
 
-def _add_all_products(sums: _ProbeSums, rows: _WeightedRows) -> None:
+def _add_with_cross_products(sums: _ProbeSums, rows: _WeightedRows) -> None:
     """Add a batch to the Gram matrices, with the products of each column with all others."""
     for joint, (index, columns) in rows.columns.items():
         for f, part in rows.blocks:
             x = columns[:, part]
-            sums.P[f][:, index] += rows.Q[joint][:, part] @ x.T
-            sums.h[f, index] += x @ rows.e[joint][part]
+            _add_products_with_model(sums, f, index, rows.Q[joint][:, part], rows.e[joint][part], x)
             sums.CC[f][np.ix_(index, index)] += x @ x.T
 
 
@@ -382,7 +412,7 @@ def _block_slices(block_index: Indices) -> list[tuple[int, slice]]:
 
 
 def _rows_by_probe(starts: Indices, index: Indices) -> list[Indices]:
-    """Rows of some columns that belong to one probe, shape (i, k) for each number of coefficients k.
+    """Places of each probe's columns among some columns, shape (i, k) for each number of coefficients k.
 
     Parameters
     ----------
@@ -391,9 +421,15 @@ def _rows_by_probe(starts: Indices, index: Indices) -> list[Indices]:
     index
         Index of each column's coefficient; those of one probe are next to each other.
     """
-    first_rows = np.flatnonzero(np.isin(index, starts[:-1]))
-    sizes = np.diff(starts)[np.searchsorted(starts, index[first_rows])]
-    return [first_rows[sizes == k, None] + np.arange(k) for k in np.unique(sizes)]
+    is_first = np.isin(index, starts[:-1])
+    first_rows = np.flatnonzero(is_first)
+    probe_numbers = np.searchsorted(starts, index[first_rows])
+    sizes = np.diff(starts)[probe_numbers]
+    rows_by_size = []
+    for k in np.unique(sizes):
+        first_of_size = first_rows[sizes == k]
+        rows_by_size.append(first_of_size[:, None] + np.arange(k))
+    return rows_by_size
 
 
 def _training_batches(
@@ -407,12 +443,22 @@ def _training_batches(
             continue
         row = 0
         for batch in tracked(linearized.experiment.batches(run, held_out=False), run.train, progress, stage):
-            model = LinearizedModel(linearized.experiment.equation, linearized.theta, batch.motion)
+            model = _model_along(
+                IdentityKey(linearized.experiment.equation), IdentityKey(linearized.theta), IdentityKey(batch.motion)
+            )
             rows = row + np.arange(len(batch.t))
             yield batch, model, first_block + rows // linearized.block_length, number
             row += len(batch.t)
             number += 1
-        first_block += -(-row // linearized.block_length)
+        first_block += math.ceil(row / linearized.block_length)
+
+
+@lru_cache(_MAX_MODELS)
+def _model_along(
+    equation: IdentityKey[LinearModel], theta: IdentityKey[Array], motion: IdentityKey[Motion]
+) -> LinearizedModel:
+    """Model with its coefficients along a motion; the latest are kept, since they are screened against repeatedly."""
+    return LinearizedModel(equation.owner, theta.owner, motion.owner)
 
 
 def _model_rows(linearized: LinearizedFit, batch: Batch, number: int) -> tuple[list[Array], list[Array], list[Array]]:
@@ -434,9 +480,10 @@ def _model_rows(linearized: LinearizedFit, batch: Batch, number: int) -> tuple[l
 def _probe_columns(
     probes: Sequence[Probe], starts: Indices, batch: Batch, model: LinearizedModel
 ) -> Iterator[tuple[int, Indices, Array]]:
-    """Joint, indices of coefficients, and their filtered columns, shape (m, n), a bounded number m at a time.
+    """Joint, indices of coefficients, and their filtered columns, shape (m, n).
 
-    Columns that are kept from an earlier model are not evaluated again.
+    A bounded number of columns is evaluated at a time. Those that are kept from an earlier model are not evaluated
+    again, and come all together.
     """
     motion = model.true_motion
     kept = motion.kept_columns
@@ -485,18 +532,37 @@ def _indices(started_columns: list[tuple[int, Array]]) -> Indices:
     return np.concatenate([start + np.arange(len(columns)) for start, columns in started_columns])
 
 
-def _solve_all(linearized: LinearizedFit, probes: Sequence[Probe], sums: _ProbeSums) -> list[_Solution]:
-    """All probes solved, those with the same number of coefficients together."""
-    starts = _coefficient_starts(probes)
+def _solve_all(
+    linearized: LinearizedFit,
+    probes: Sequence[Probe],
+    sums: _ProbeSums,
+    coefficients: Sequence[Indices],
+    products_of: Callable[[Indices], Array],
+) -> list[_Solution]:
+    """All probes solved, those with the same number of coefficients together.
+
+    Parameters
+    ----------
+    linearized
+        The model.
+    probes
+        The probes.
+    sums
+        Gram matrices.
+    coefficients
+        Indices of each probe's coefficients in the sums, shape (k,).
+    products_of
+        The products of each probe's columns, shape (F, i, k, k), by their indices, shape (i, k).
+    """
     solutions: dict[int, _Solution] = {}
-    for k, own_probes in _indices_by_size(probes).items():
-        index = np.array([np.arange(starts[i], starts[i] + k) for i in own_probes])  # (i, k)
+    for own_probes in _indices_by_size(probes).values():
+        index = np.array([coefficients[n] for n in own_probes])  # (i, k)
         P = sums.P[:, :, index]  # (F, r, i, k)
         h = sums.h[:, index]  # (F, i, k)
-        CC = sums.CC[:, index, :k]  # (F, i, k, k)
-        solved = _solve_same_size(linearized, [probes[i] for i in own_probes], P, h, CC)
+        CC = products_of(index)
+        solved = _solve_same_size(linearized, [probes[n] for n in own_probes], P, h, CC)
         solutions.update(zip(own_probes, solved, strict=True))
-    return [solutions[i] for i in range(len(probes))]
+    return [solutions[n] for n in range(len(probes))]
 
 
 def _indices_by_size(probes: Sequence[Probe]) -> dict[int, list[int]]:

@@ -48,8 +48,10 @@ class LinearModel:
     joints: tuple[str, ...]
     effects: tuple[Effect, ...]
     operating_point: OperatingPoint = field(default_factory=dict)
-    _true_motions: dict[IdentityKey, Motion] = field(default_factory=dict, init=False, repr=False, compare=False)
-    _masks: dict[IdentityKey, dict[int, list[Mask]]] = field(
+    _true_motions: dict[IdentityKey[Motion], Motion] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
+    _masks: dict[IdentityKey[Motion], dict[int, list[Mask]]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 

@@ -240,13 +240,13 @@ def test_however_many_at_once(base: LinearizedFit, monkeypatch: pytest.MonkeyPat
     every = probes(base)
     expected = screen_probes(base, every, silent)
     calls: list[Sequence[Probe]] = []
-    inner = screen._accumulate
+    inner = screen._sums_by_probe
 
     def counted(*arguments: Any) -> Any:
         calls.append(arguments[1])
         return inner(*arguments)
 
-    monkeypatch.setattr(screen, "_accumulate", counted)
+    monkeypatch.setattr(screen, "_sums_by_probe", counted)
     monkeypatch.setattr(screen, name, value)
     found = screen_probes(base, every, silent)
     assert [one.probe for one in found] == every

@@ -36,6 +36,7 @@ _IMPACT_DECAY = 0.02  # s
 _TEETH_LAG = 2e-3  # s: time constant of each of two low-passes, for the compliance of the teeth
 _MIN_INERTIA = 1e-9  # kg·m² or kg
 _MIN_STEPS = 32  # by which a path is continued
+_MAX_KEPT_MOTIONS = 8  # relative motions of a model
 _MIN_SQUARED_VELOCITY = 1e-9  # rad²/s² or m²/s², summed over a log: the joint rests
 
 
@@ -299,17 +300,18 @@ class _Path:
     is_complete: bool
 
 
-_latest_relative_motions: WeakKeyDictionary[Linearization, tuple[int, float, _RelativeMotion]] = WeakKeyDictionary()
+_relative_motions: WeakKeyDictionary[Linearization, dict[tuple[int, float], _RelativeMotion]] = WeakKeyDictionary()
 
 
 def _relative_motion(motion: Motion, joint: int, motor_friction: float, linearized: Linearization) -> _RelativeMotion:
-    """Relative motion of a joint's motor and link; the latest is kept for each model, since all widths share it."""
-    kept = _latest_relative_motions.get(linearized)
-    if kept is not None and kept[:2] == (joint, motor_friction):
-        return kept[2]
-    relative = _RelativeMotion(motion, joint, motor_friction, linearized)
-    _latest_relative_motions[linearized] = joint, motor_friction, relative
-    return relative
+    """Relative motion of a joint's motor and link; the latest are kept for each model, since all widths share them."""
+    kept = _relative_motions.setdefault(linearized, {})
+    key = joint, motor_friction
+    if key not in kept:
+        kept[key] = _RelativeMotion(motion, joint, motor_friction, linearized)
+        if len(kept) > _MAX_KEPT_MOTIONS:
+            del kept[next(iter(kept))]
+    return kept[key]
 
 
 def _simulate_play(relative: _RelativeMotion, width: float) -> Array:
