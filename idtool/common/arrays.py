@@ -14,3 +14,14 @@ Indices = NDArray[np.intp]
 def mask_runs(mask: Mask) -> Indices:
     """First index of each run of True and the one after its last, shape (k, 2)."""
     return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
+
+
+def joined_runs(mask: Mask, min_gap: float) -> list[tuple[int, int]]:
+    """`mask_runs`, those less than ``min_gap`` samples apart joined."""
+    runs: list[tuple[int, int]] = []
+    for begin, end in mask_runs(mask).tolist():
+        if runs and begin - runs[-1][1] < min_gap:
+            runs[-1] = (runs[-1][0], end)
+        else:
+            runs.append((begin, end))
+    return runs

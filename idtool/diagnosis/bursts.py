@@ -1,4 +1,4 @@
-"""Bursts: time intervals in which something acts on the robot that does not otherwise, such as a contact.
+"""Bursts: time intervals in which something acts on the robot that usually does not, such as a contact.
 
 A model fitted to data with a contact is biased by it and leaves a residual everywhere. So the residual is that of a
 robust fit, which ignores the contact. A contact is distinguished from friction, gears and the rest by its shape: its
@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
-from idtool.common.arrays import Array, Indices, Mask, mask_runs
+from idtool.common.arrays import Array, Indices, Mask, joined_runs
 from idtool.data.logs import JointLog
 from idtool.diagnosis.pushes import find_pushes, raised_windows
 from idtool.diagnosis.robust_residual import RobustResidual, robust_residual
@@ -56,11 +56,11 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
 
     Returns
     -------
-    Candidates for a contact, for each training log by itself.
+    Hypotheses about contacts, for each training log separately.
 
-    - The torque begins or ends within milliseconds: one burst of these windows, on no link in particular. If it is
-      large in further windows, a burst of all windows comes first.
-    - It comes and goes slowly: one burst for each link on which a push explains it.
+    - If the torque begins or ends within milliseconds: one burst of all such windows, on no link in particular. If the
+      residual is large in other windows too, a burst of all windows precedes it.
+    - If it comes and goes slowly: one burst for each link on which a push explains it.
     """
     residual = robust_residual(experiment, theta, progress, "looking for contacts")
     if len(experiment.runs) == 1:
@@ -80,7 +80,7 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
 
 def _bursts_of_log(model: RobotModel, residual: RobustResidual, log: JointLog) -> tuple[Burst, ...]:
     """Bursts in one log."""
-    windows = _constant_windows(residual, float(log.t[-1] - log.t[0]))
+    windows = _contact_windows(residual, float(log.t[-1] - log.t[0]))
     if not windows:
         return find_pushes(model, residual)
     others = []
@@ -107,8 +107,11 @@ def _high_part(series: RobustResidual, window: slice) -> tuple[float, float] | N
     return (round(begin, 4), round(end, 4)) if end - begin > _MIN_DURATION else None
 
 
-def _constant_windows(series: RobustResidual, log_seconds: float) -> tuple[tuple[float, float], ...]:
-    """Begin and end of each burst whose level is constant [s], in order of time; the 10 strongest at most."""
+def _contact_windows(series: RobustResidual, log_seconds: float) -> tuple[tuple[float, float], ...]:
+    """Begin and end of each window whose level begins or ends sharply and is steady between [s], in order of time.
+
+    The strongest, `_MAX_BURSTS` at most.
+    """
     t = series.t
     levels = series.levels
     usual_level = float(np.median(levels))
@@ -156,12 +159,15 @@ class _Segment:
     dt: float
 
     def bursts(self) -> Iterator[tuple[int, int, float]]:
-        """First sample, the one after the last, and energy of each."""
+        """First sample of each burst, the one after its last, and its energy."""
         level = median_filter(self.levels, _SMOOTHING, mode="nearest")
-        for raised in self._runs(level > _RAISED * self.usual_level):
+        for first, end in joined_runs(level > _RAISED * self.usual_level, _MIN_GAP / self.dt):
+            if (end - first) * self.dt <= _MIN_DURATION / 2:
+                continue
+            raised = slice(first, end)
             height = float(np.median(level[raised]))
-            a = self._burst_edge(raised, level[raised], height, 1)
-            b = self._burst_edge(raised, level[raised], height, -1)
+            a = self._burst_edge(raised, level[raised], height, is_begin=True)
+            b = self._burst_edge(raised, level[raised], height, is_begin=False)
             if height < _MIN_LEVEL * self.usual_level or a is None or b is None:
                 continue
             if (b - a) * self.dt < _MIN_DURATION:
@@ -169,18 +175,6 @@ class _Segment:
             has_edge = a > 0 or b < len(self.levels)
             if has_edge and self._is_steady(a, b, height) and not self._recurs_at_reversals(a, b):
                 yield a, b, height**2 * (b - a)
-
-    def _runs(self, raised: Mask) -> Iterator[slice]:
-        """Runs of raised samples, with short gaps filled."""
-        edges = mask_runs(raised)
-        if not len(edges):
-            return
-        is_gap = (edges[1:, 0] - edges[:-1, 1]) * self.dt >= _MIN_GAP
-        first = edges[np.insert(is_gap, 0, True), 0]
-        end = edges[np.append(is_gap, True), 1]
-        for a, b in zip(first, end, strict=True):
-            if (b - a) * self.dt > _MIN_DURATION / 2:
-                yield slice(a, b)
 
     @cached_property
     def _changes(self) -> Array:
@@ -202,39 +196,39 @@ class _Segment:
         squares = np.square(np.where(known, self._changes, 0.0)).sum(axis=0)
         return np.asarray(np.sqrt(squares / np.maximum(known.sum(axis=0), 1)))
 
-    def _burst_edge(self, raised: slice, level: Array, height: float, direction: int) -> int | None:
-        """Place where a burst begins (direction 1) or ends (−1).
+    def _burst_edge(self, raised: slice, level: Array, height: float, is_begin: bool) -> int | None:
+        """Place where a burst begins, or else ends: its outermost sharp edge, or an end of the segment.
 
-        The outermost sharp edge, or an end of the segment; None if there is neither.
+        None if there is neither.
         """
         n = len(self.levels)
         for share in _EDGE_LEVELS:
             high = np.flatnonzero(level > share * height) + raised.start
-            near = int(high[0] if direction > 0 else high[-1] + 1)
+            near = int(high[0] if is_begin else high[-1] + 1)
             if near <= _EDGE_REACH:
                 return 0
             if near >= n - _EDGE_REACH:
                 return n
             first = near - _EDGE_REACH
             place = first + int(np.argmax(self._jumps[first : near + _EDGE_REACH + 1]))
-            if self._is_edge(place, direction, height):
+            if self._is_edge(place, height, is_begin):
                 return place
         return None
 
-    def _is_edge(self, place: int, direction: int, height: float) -> bool:
-        """True if a burst may begin (direction 1) or end (−1) at a place."""
+    def _is_edge(self, place: int, height: float, is_begin: bool) -> bool:
+        """True if a burst may begin, or else end, at a place."""
         after = self.levels[place + _EDGE_MEAN - 1 : place + _EDGE_REACH]
         before = self.levels[max(place - _EDGE_REACH, 0) : place - _EDGE_MEAN + 1]
         if not len(after) or not len(before):
             return False
-        inside = float(np.median(after if direction > 0 else before))
-        outside = float(np.median(before if direction > 0 else after))
+        inner, outer = (after, before) if is_begin else (before, after)
+        inside = float(np.median(inner))
+        outside = float(np.median(outer))
         jump = float(self._jumps[place])
-        return (
-            _MIN_INSIDE * height < inside < _MAX_INSIDE * height
-            and outside < _MAX_OUTSIDE * inside
-            and _MIN_JUMP * inside < jump < _MAX_JUMP * inside
-        )
+        is_high_inside = _MIN_INSIDE * height < inside < _MAX_INSIDE * height
+        is_low_outside = outside < _MAX_OUTSIDE * inside
+        is_sharp = _MIN_JUMP * inside < jump < _MAX_JUMP * inside
+        return is_high_inside and is_low_outside and is_sharp
 
     def _is_steady(self, a: int, b: int, height: float) -> bool:
         """True if the level between two places never is low for long, and changes slowly."""
@@ -254,16 +248,22 @@ class _Segment:
         return low > _MIN_INSIDE * height and is_smooth
 
     def _recurs_at_reversals(self, a: int, b: int) -> bool:
-        """True if the change at a place is one that most reversals of a joint begin with."""
+        """True if the residual changes as much at most other reversals of the joint as where the burst begins.
+
+        Then it is friction.
+        """
         if not np.isfinite(self._changes[:, a]).any():
             return False
         sizes = np.abs(np.nan_to_num(self._changes))
         j = int(np.argmax(sizes[:, a]))
         reversals = self.reversals[j]
-        others = reversals[(reversals < a - _EDGE_REACH) | (reversals > b + _EDGE_REACH)]
-        if not len(others) or not (np.abs(reversals - a) <= _EDGE_REACH // 2).any():
+        half_reach = _EDGE_REACH // 2
+        is_outside = (reversals < a - _EDGE_REACH) | (reversals > b + _EDGE_REACH)
+        others = reversals[is_outside]
+        begins_at_reversal = bool((np.abs(reversals - a) <= half_reach).any())
+        if not len(others) or not begins_at_reversal:
             return False
-        around = np.arange(-_EDGE_REACH // 2, _EDGE_REACH // 2 + 1)
+        around = np.arange(-half_reach, half_reach + 1)
         nearby = np.clip(others[:, None] + around, 0, len(self.levels))
         has_change = sizes[j, nearby].max(axis=1) > sizes[j, a] / 2
         return bool(np.mean(has_change) > 0.5)

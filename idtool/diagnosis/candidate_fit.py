@@ -30,13 +30,13 @@ MIN_REPLACING_GAIN_RATIO = 0.75  # to the gain of what a candidate is to replace
 _MAX_HELD_OUT_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
 _MAX_LOSS_SHARE = 0.2  # largest ratio of the loss in some blocks to the gain in others
 _MIN_PARAMETER_SIGNIFICANCE = 2.5  # least ratio of an optional parameter to its standard error, to be kept
-_ACCURACY_OF_EFFECTS = 0.01  # at best: what is left of a strong effect is this share of its torque
-_MIN_SHARE_OF_TORQUE = 5e-3  # of a joint's rms torque, that a reported effect must explain
-_MIN_SHARE_OF_TORQUE_RELAXED = 3e-3  # of it, that one must explain which is not reported, or explains `NEARLY_ALL`
-_MIN_SHARE_OF_TORQUE_AT_ALL = 1e-3  # of it, that one must explain which leaves nothing above the noise
+_ACCURACY_OF_EFFECTS = 0.01  # share of a strong effect's torque that its model leaves at best
+_MIN_SHARE_OF_TORQUE = 5e-3  # of its joint's rms torque, that a reported effect must explain
+_MIN_SHARE_OF_TORQUE_RELAXED = 3e-3  # the same for an effect that is not reported, or that explains `NEARLY_ALL`
+_MIN_SHARE_OF_TORQUE_AT_ALL = 1e-3  # the same for an effect that leaves nothing above the noise
 NEARLY_ALL = 0.9  # of a joint's squared residual above its noise
-_TOO_SMALL = "explains less than the effects found before are uncertain by, or a negligible part of the torque"
-_RANGE_EDGE_RATIO = 1.02  # ratio to an end of a range, up to which a value is at that end
+_TOO_SMALL = "explains less than the uncertainty of the effects found before, or a negligible part of the torque"
+_RANGE_EDGE_RATIO = 1.02  # ratio to an end of a range, within which a value counts as at that end
 _BOUND_TOLERANCE = 1e-9  # distance from a bound, up to which a coefficient is at it
 
 
@@ -398,7 +398,7 @@ def _explains_enough(fit: LinearizedFit, base: LinearizedFit, initial: Linearize
       effect is no effect of its own.
     - The square of a share, ``min_share``, of the joint's rms torque.
     """
-    # both fits in units of the base's noise: one that uses or rescales the measured torque has another noise of its own
+    # each fit counts in units of its own noise: one that uses or rescales the measured torque has another one
     decrease = (base.sse - fit.sse).sum(axis=0) * np.square(base.noise)
     initial_squares = initial.sse.sum(axis=0) * np.square(initial.noise)
     uncertain = _ACCURACY_OF_EFFECTS**2 * initial_squares

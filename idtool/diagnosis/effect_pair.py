@@ -117,7 +117,7 @@ def find_pairs(
         if joint in quiet:
             continue
         try:
-            pairs = _screen_pairs(selection, screening, joint, progress)
+            pairs = _pairs_on_joint(selection, screening, joint, progress)
         except FAILURES:
             continue
         for pair in pairs[:_MAX_FITS]:
@@ -129,7 +129,7 @@ def find_pairs(
                 yield fitted
 
 
-def _screen_pairs(
+def _pairs_on_joint(
     selection: SelectionStep, screening: Screening, joint: str, progress: Progress
 ) -> list[_ScreenedPair]:
     """Pairs of effects on a joint that explain much of its residual, the largest gain first."""
@@ -148,7 +148,7 @@ def _screen_pairs(
     for (i, j), joined in zip(choices, screened, strict=True):
         pair = _screened_pair(candidates[i], candidates[j], joined)
         is_large = explained_share(pair.gain, base, joint_count=1) > _MIN_SCREENED_SHARE
-        if is_large and all(_is_needed(effect, selection) for effect in pair.effects):
+        if is_large and all(_is_worthwhile_in_pair(effect, selection) for effect in pair.effects):
             pairs.append(pair)
     return sorted(pairs, key=lambda pair: -pair.gain)
 
@@ -181,7 +181,7 @@ def _part_of_pair(one: ScreenedProbe, joined: ScreenedProbe, part: slice, gains:
     )
 
 
-def _is_needed(effect: ScreenedProbe, selection: SelectionStep) -> bool:
+def _is_worthwhile_in_pair(effect: ScreenedProbe, selection: SelectionStep) -> bool:
     """True if an effect of a pair is possible, and worthwhile beside the other."""
     is_gain_large_enough = is_worthwhile(
         effect.gain,

@@ -74,14 +74,14 @@ class EffectSearch:
     last_round
         The latest round in which effects were tried; None before the first.
     reversal_joints
-        Joints whose friction does not follow its law near reversals. Their rms residual with and without the rows near
-        reversals [N·m or N], which are then excluded.
+        Joints whose friction does not follow its law near reversals, with their rms residual with and without the rows
+        near reversals [N·m or N]. If there are any, these rows are excluded.
     failed
-        Reason why the model could not be fitted with an effect, by effect and target.
+        Reason why an effect could not be fitted or was refused, by effect and target.
     stopped
         Reason why the search ended before it was complete; empty if it was.
     advice
-        What to do about that, a clause; empty if the search was complete.
+        What the user can do about ``stopped``, as a clause; empty if the search was complete.
     is_interrupted
         True if Ctrl-C ended it.
 
@@ -121,7 +121,7 @@ class EffectSearch:
         self.failed: dict[tuple[str, str], str] = {}
         self._refused: set[ProbeKey] = set()  # candidates with which the present model is worse
         self._superseded: set[ProbeKey] = set()  # effects that later ones have made unnecessary
-        self._best_of_all: list[AddedEffect] = []  # those found among effects of all kinds
+        self._found_among_all: list[AddedEffect] = []  # effects that were the best of all kinds
         self.model = ExtendedModel(experiment, self.progress)
         self.initial = self.current
         self._keep_as_complete()
@@ -303,7 +303,7 @@ class EffectSearch:
                 self._refuse(selection.winner, reason)
                 continue
             if effects is self._effects:
-                self._best_of_all.append(self.added[-1])
+                self._found_among_all.append(self.added[-1])
             self._refused.clear()  # beside this effect, another one may be better
             self._prune()
             self._keep_as_complete()
@@ -424,7 +424,7 @@ class EffectSearch:
 
     def _replace_first(self, choices: Sequence[tuple[AddedEffect, ...]]) -> bool:
         """Replace the first of several sets of effects for which another one is better; False if there is none."""
-        choices = [replaced for replaced in choices if not self._is_found_again(replaced)]
+        choices = [replaced for replaced in choices if not self._would_be_found_again(replaced)]
         shares = interleaved_shares(len(choices))
 
         def first_replaceable(share: range, progress: Progress) -> int | None:
@@ -436,14 +436,17 @@ class EffectSearch:
             return False
         return self._replace(choices[min(replaceable)])  # once more, since a copy cannot send its model
 
-    def _is_found_again(self, replaced: Sequence[AddedEffect]) -> bool:
-        """True if one of some effects was the best beside exactly the others, so that it would be found once more."""
+    def _would_be_found_again(self, replaced: Sequence[AddedEffect]) -> bool:
+        """True if a search without some effects would find one of them again.
+
+        It was the best of all kinds in a round whose model had the same other effects.
+        """
         others = [effect.entry for effect in self.added if effect not in replaced]
         present = _subjects([*self.model.given, *others])
         for effect in replaced:
             base = effect.selection.base
             is_alike = base.reversal_margin == self.current.reversal_margin
-            if effect in self._best_of_all and is_alike and _subjects(base.experiment.config.effects) == present:
+            if effect in self._found_among_all and is_alike and _subjects(base.experiment.config.effects) == present:
                 return True
         return False
 

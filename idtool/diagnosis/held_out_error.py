@@ -1,4 +1,4 @@
-"""Error of a fitted model on the held-out data, and whether an effect makes these less likely."""
+"""Error of a fitted model on the held-out data, and whether an effect makes these data less likely."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.regressor import LinearModel
 
-_CHANCE = 0.01  # change of the logarithm of a joint's squared error
-_CLEAR = 0.1  # change of it that an effect brings which is right, whatever its inaccuracy costs elsewhere
+_MAX_LOG_INCREASE = 0.01  # by chance, of the logarithm of the squared error, summed over the joints
+_CLEAR_LOG_DECREASE = 0.1  # of it, that outweighs what the inaccuracy of an effect costs elsewhere
 
 
 def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) -> Array:
@@ -50,9 +50,10 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
 def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> bool:
     """True if the held-out data are less likely under the model with an effect than under that without it.
 
-    The two are compared at the rows at which the model with the effect is defined. A play is not defined while its
-    teeth are apart, which is where it acts. It is therefore also right if it makes all rows together clearly more
-    likely. An effect that the held-out motion does not excite hardly changes the likelihood, and is not rejected.
+    The two are compared at the rows at which the model with the effect is defined. A backlash is undefined while its
+    teeth are apart, which is when it acts, so that these rows tell little of it. The answer is also False if all rows
+    together are clearly more likely with it. An effect that the held-out motion does not excite hardly changes the
+    likelihood: the answer is False.
 
     Parameters
     ----------
@@ -62,18 +63,18 @@ def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> b
         The model with it.
     """
     change_where_defined = held_out_log_change(before, after, after.experiment.equation)
-    if not change_where_defined > _CHANCE:
+    if change_where_defined <= _MAX_LOG_INCREASE:
         return False
     change_at_all_rows = held_out_log_change(before, after, before.experiment.equation)
-    is_clearly_more_likely = change_at_all_rows < -_CLEAR
+    is_clearly_more_likely = change_at_all_rows < -_CLEAR_LOG_DECREASE
     return not is_clearly_more_likely
 
 
 def held_out_log_change(before: LinearizedFit, after: LinearizedFit, row_equation: LinearModel) -> float:
     """Change of the logarithm of the held-out data's squared error by an effect, summed over the joints.
 
-    Each joint's residual counts relative to its own size, so that a joint that still lacks a large effect does not
-    decide alone. Without held-out data, it is 0.
+    It is below 0 if the effect lowers the error. Each joint's residual counts relative to its own size, so that a joint
+    that still lacks a large effect does not decide alone. Without held-out data, it is 0.
 
     Parameters
     ----------

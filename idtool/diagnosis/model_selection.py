@@ -1,9 +1,8 @@
 """Selection of the best of the fitted effects, and of those that the data cannot distinguish from it.
 
-The gain of a candidate is the reduction of the squared residual by it in cross-validation, summed over the blocks of
-time that are left out in turn, in units of the noise variance. Rows that follow one another are correlated: inflation
-is the number of rows that are worth one independent row, and a gain must be that many times larger than with
-independent rows.
+The *gain* of a candidate is the reduction of the squared residual in cross-validation over blocks of time that are left
+out in turn, in units of the noise variance. Rows that follow one another are correlated: *inflation* is the number of
+rows that are worth one independent row. By chance, a gain is that many times larger than with independent rows.
 """
 
 from __future__ import annotations
@@ -135,7 +134,10 @@ class SelectionStep:
     failed
         Those of ``rejected`` that could not be screened or fitted.
     screening
-        The screening of all candidates; None if there is a winner, or if all joints are quiet, so that none was tried.
+        Screening of all candidates, from which pairs are formed if no single effect is worthwhile. None if there is a
+        winner, so that no pair is needed, and if none was tried.
+    has_tried
+        False if all joints are quiet, so that no candidate was tried.
     """
 
     base: LinearizedFit
@@ -146,11 +148,7 @@ class SelectionStep:
     inflation: float
     failed: tuple[Candidate, ...] = ()
     screening: Screening | None = None
-
-    @property
-    def has_tried(self) -> bool:
-        """True unless all joints are quiet, so that no candidate was tried."""
-        return self.winner is not None or self.screening is not None
+    has_tried: bool = True
 
     def alternatives(self) -> tuple[Candidate, ...]:
         """Records of the finalists that compete with the winner, the best first."""

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
-from idtool.common.arrays import Array, Indices, Mask, mask_runs
+from idtool.common.arrays import Array, Indices, Mask, joined_runs
 from idtool.diagnosis.robust_residual import RobustResidual
 from idtool.dynamics.effects.data_summary import Burst
 from idtool.robot.body import Body, Frame
@@ -103,7 +103,7 @@ def raised_windows(residual: RobustResidual) -> list[slice]:
         dt = float(residual.t[segment.start + 1] - residual.t[segment.start])
         samples = max(round(_LEVEL_SECONDS / dt), 1)
         level = np.sqrt(uniform_filter1d(np.square(residual.levels[segment]), samples, mode="nearest"))
-        for a, b in _runs(level > _USUAL * usual, round(_MIN_GAP / dt)):
+        for a, b in joined_runs(level > _USUAL * usual, round(_MIN_GAP / dt)):
             outer = slice(segment.start + max(a - samples, 0), min(segment.start + b + samples, segment.stop))
             high = np.count_nonzero(level[a:b] > _RAISED * usual)
             is_raised = high * dt > _MIN_DURATION and level[a:b].max() > _MIN_PEAK * usual
@@ -114,18 +114,6 @@ def raised_windows(residual: RobustResidual) -> list[slice]:
         return []
     squares = np.square(residual.levels)
     return windows if squares[~outside].sum() > _MIN_INSIDE * squares.sum() else []
-
-
-def _runs(mask: Mask, min_gap: int) -> list[tuple[int, int]]:
-    """First sample and the one after the last of each run of True, with gaps shorter than ``min_gap`` filled."""
-    edges = mask_runs(mask)
-    runs: list[tuple[int, int]] = []
-    for a, b in edges.tolist():
-        if runs and a - runs[-1][1] < min_gap:
-            runs[-1] = (runs[-1][0], b)
-        else:
-            runs.append((a, b))
-    return runs
 
 
 @dataclass(frozen=True)

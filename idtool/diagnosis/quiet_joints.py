@@ -1,4 +1,4 @@
-"""Quiet joints: those whose residual is only noise, so that nothing is left to explain."""
+"""Quiet joints: those whose residual is hardly more than noise, so that nothing is left to explain."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from idtool.estimation.dataset.experiment import Progress
 
 
 def quiet_joints(fit: LinearizedFit, progress: Progress) -> frozenset[str]:
-    """Joints whose squared residual on the training data has less above the noise than an effect must explain of it.
+    """Joints on which no effect could explain enough to be added.
 
-    Those whose noise is not known are not among them. It is that away from reversals: what a model lacks near them is
-    so short that it would pass for noise. The residual is that of all rows, or away from reversals if that is larger.
+    On a quiet joint, the part of the squared residual that is above the noise is a smaller share of it than an effect
+    must explain. Training data count. A joint whose noise is not known is not quiet.
+
+    The noise is estimated away from reversals: what a model lacks near them is so short that it would pass for noise.
+    The residual is that of all rows, or that away from reversals, whichever is larger.
 
     Parameters
     ----------
@@ -24,6 +27,10 @@ def quiet_joints(fit: LinearizedFit, progress: Progress) -> frozenset[str]:
         The model.
     progress
         Callback for the stage and its progress, from 0 to 1.
+
+    Returns
+    -------
+    Names of the joints.
     """
     margin = max(fit.reversal_margin, REVERSAL_MARGIN)
     try:
@@ -33,7 +40,8 @@ def quiet_joints(fit: LinearizedFit, progress: Progress) -> frozenset[str]:
     except FAILURES:
         return frozenset()
     squared_residual = np.maximum(fit.mean_squared_residual, np.square(floor.residual))
-    is_quiet = floor.is_joint_estimated & (np.square(floor.noise) > (1 - MIN_SHARE) * squared_residual)
+    above_noise = squared_residual - np.square(floor.noise)
+    is_quiet = floor.is_joint_estimated & (above_noise < MIN_SHARE * squared_residual)
     joints = fit.experiment.equation.joints
     return frozenset(joints[j] for j in np.flatnonzero(is_quiet))
 

@@ -1,11 +1,6 @@
 """One round of the search: all candidates are screened to first order, and the best are fitted with the whole model.
 
-`model_selection` chooses among them.
-
-The *gain* of a candidate is the reduction of the squared residual by it in cross-validation, summed over the blocks of
-time that are left out in turn, in units of the noise variance. Rows that follow one another are correlated: *inflation*
-is the number of rows that are worth one independent row. A gain by chance is that many times larger than with
-independent rows.
+`model_selection` chooses among them. For *gain* and *inflation*, see `model_selection`.
 """
 
 from __future__ import annotations
@@ -57,13 +52,18 @@ from idtool.estimation.dataset.experiment import Progress
 Bursts = tuple[Burst, ...]
 
 _MAX_REFINED = 7  # candidates that are screened again on a finer grid
-_STARTS_ON_GRID = 3  # probes that are refined of a candidate whose residual jumps with its parameters
-_REFINEMENTS = 2  # times, since the best value of a parameter depends on that of another
+_STARTS_ON_GRID = 3  # probes about which the grid is refined, of a candidate whose residual jumps with its parameters
+_REFINEMENTS = 2  # passes, since the best value of a parameter depends on that of another
 _REFINEMENT_POINTS = 7  # values that are screened again between the neighbours of a value in the grid
 _JOINT_REFINEMENT_POINTS = 5  # of each parameter, where several are changed together
-_MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, those that are then rejected included
+_MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, including those that are then rejected
 _MIN_GAIN_RATIO = 0.4  # to the gain of the best accepted candidate, for a candidate to be fitted
 _MIN_FIRST_ORDER_GAIN_RATIO = 0.2  # likewise, where a fit may explain much more than the screening
+
+
+def _no_bursts() -> Bursts:
+    """No time intervals."""
+    return ()
 
 
 def find_best_effect(
@@ -71,7 +71,7 @@ def find_best_effect(
     initial: LinearizedFit,
     progress: Progress,
     effects: Sequence[str] | None,
-    get_bursts: Callable[[], Bursts] | None = None,
+    find_bursts: Callable[[], Bursts] = _no_bursts,
     min_share: float = MIN_SHARE,
     skipped: Container[ProbeKey] = (),
     movable: Sequence[int] = (),
@@ -85,16 +85,16 @@ def find_best_effect(
     Parameters
     ----------
     base
-        The model.
+        Model that lacks the effect.
     initial
         The model without any of the effects found.
     progress
         Callback for the stage and its progress, from 0 to 1.
     effects
         Ids of the effects to try; None: all.
-    get_bursts
-        Function that returns the time intervals in which the residual is unusually large. It is called only if effects
-        are tried, since it takes a robust fit. None: there are none.
+    find_bursts
+        Finds the time intervals in which the residual is unusually large. It is called only if effects are tried, since
+        it takes long.
     min_share
         Share of a joint's squared residual that an effect must explain.
     skipped
@@ -108,9 +108,16 @@ def find_best_effect(
     """
     quiet = quiet_joints(base, progress)
     if quiet.issuperset(base.experiment.equation.joints):
-        return SelectionStep(base, None, (), (), (), _white_noise_inflation(base))
-    bursts = get_bursts() if get_bursts is not None else ()
-    summary = summarize_data(base, bursts, has_fixed_inertia(base.experiment))
+        return SelectionStep(
+            base,
+            winner=None,
+            indistinguishable=(),
+            runners_up=(),
+            rejected=(),
+            inflation=_white_noise_inflation(base),
+            has_tried=False,
+        )
+    summary = summarize_data(base, find_bursts(), has_fixed_inertia(base.experiment))
     reference = with_nonlinear_parameters_free(base, movable, progress)
     screening = _screen_all(reference, summary, effects, quiet.union(explained_joints), skipped, progress)
     refined = _refine(reference, screening.screened, progress)
@@ -248,7 +255,17 @@ def _fit_best_candidates(
 def _significant_candidates(
     candidates: Sequence[ScreenedProbe], base: LinearizedFit, min_gain: float
 ) -> tuple[list[ScreenedProbe], list[Candidate]]:
-    """Candidates with at least a gain, noise that they cancel not counted; and records of those without it."""
+    """Candidates that gain enough even without torque noise that they cancel; records of those that only cancel noise.
+
+    Parameters
+    ----------
+    candidates
+        The candidates, the largest gain first.
+    base
+        The model.
+    min_gain
+        Gain that is enough.
+    """
     significant: list[ScreenedProbe] = []
     rejected: list[Candidate] = []
     for candidate in candidates:
@@ -263,7 +280,7 @@ def _significant_candidates(
 
 
 class _Judged(NamedTuple):
-    """A candidate that was fitted with the whole model, as a copy of this process can send it.
+    """A fitted and judged candidate in a form that a copy of this process can send.
 
     Attributes
     ----------

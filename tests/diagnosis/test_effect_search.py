@@ -432,7 +432,7 @@ def test_pairs_are_sought_only_where_more_than_noise_is_left(tmp_path: Path, mon
     drag = torque_on_joint(0, lambda t, q, v, tau: 0.3 * v * np.abs(v))
     experiment = experiment_of(tmp_path, together(dry_friction, drag))
     monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
-    monkeypatch.setattr(effect_pair, "_screen_pairs", record)
+    monkeypatch.setattr(effect_pair, "_pairs_on_joint", record)
     EffectSearch(experiment, ("coulomb_friction", "quadratic_drag"), 4, silent)._add_effects()
     assert screened == ["j1"]
 
