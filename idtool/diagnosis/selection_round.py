@@ -463,21 +463,27 @@ def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[Scre
     for candidate in candidates:
         probe = candidate.probe
         alike = [other.probe for other in screened if probe_key(other.probe) == probe_key(probe)]
-        joint_parameters = effect_types()[probe.effect].joint_parameters()
-        are_changed_together = _is_searched_on_grid(probe.effect)
-        points = _JOINT_REFINEMENT_POINTS if are_changed_together else _REFINEMENT_POINTS
-        refined: dict[str, list[float]] = {}
-        for name, value in probe.nonlinear_values.items():
-            grid = sorted({other.nonlinear_values[name] for other in alike})
-            if name not in joint_parameters and len(grid) > 1 and value in grid:
-                refined[name] = _refined_values(value, grid, points)
-        if are_changed_together:
-            choices = [dict(zip(refined, values, strict=True)) for values in product(*refined.values())]
-        else:
-            choices = [{name: value} for name, values in refined.items() for value in values]
-        for choice in choices:
-            if choice:
-                yield probe.at({**probe.nonlinear_values, **choice})
+        for changed_values in _refined_choices(probe, alike):
+            yield probe.at({**probe.nonlinear_values, **changed_values})
+
+
+def _refined_choices(probe: Probe, alike: Sequence[Probe]) -> Iterator[dict[str, float]]:
+    """Finer values to try of some nonlinear parameters of a probe; ``alike`` are the probes of its coarse grid."""
+    joint_parameters = effect_types()[probe.effect].joint_parameters()
+    are_changed_together = _is_searched_on_grid(probe.effect)
+    points = _JOINT_REFINEMENT_POINTS if are_changed_together else _REFINEMENT_POINTS
+    finer: dict[str, list[float]] = {}
+    for name, value in probe.nonlinear_values.items():
+        grid = sorted({other.nonlinear_values[name] for other in alike})
+        if name not in joint_parameters and len(grid) > 1 and value in grid:
+            finer[name] = _refined_values(value, grid, points)
+    if are_changed_together and finer:
+        for values in product(*finer.values()):
+            yield dict(zip(finer, values, strict=True))
+        return
+    for name, values_of_one in finer.items():
+        for value in values_of_one:
+            yield {name: value}
 
 
 def _refined_values(value: float, grid: Sequence[float], points: int) -> list[float]:

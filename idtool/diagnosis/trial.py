@@ -7,7 +7,7 @@ column. `screen_probes` evaluates it as any other, which gives the step and its 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import product
@@ -33,7 +33,7 @@ from idtool.robot.inertia import PI_SIZE
 
 ParameterKey = tuple[int, str]  # place in the configuration's effects, and name of the parameter
 Range = tuple[float, float]
-GridPlace = tuple[int, ...]  # by parameter, the number of steps from where a grid search starts
+GridPlace = tuple[int, ...]  # number of shortest steps from the start, by parameter
 
 FAILURES = (IdtoolError, ArithmeticError, ValueError, RuntimeError)  # raised where a model cannot be fitted
 
@@ -417,9 +417,8 @@ def _grid_search(
 ) -> tuple[LinearizedFit, dict[ParameterKey, float]]:
     """Fit with the values near the present ones that explain most, and the values' standard errors.
 
-    A pattern search (Hooke & Jeeves 1961) over all parameters together, since the best value of one depends on those of
-    the others. Each set of values is a probe about the model without the effect. A standard error is half the range of
-    values that explain nearly as much as the best, at least half the shortest step.
+    Each set of values is a probe about the model without the effect. A standard error is half the range of values that
+    explain nearly as much as the best, at least half the shortest step.
 
     Parameters
     ----------
@@ -440,30 +439,20 @@ def _grid_search(
     names = [name for name in kind.grid_parameters() if name in entries[i].parameters]  # what was left out stays so
 
     def values_at(place: GridPlace) -> dict[str, float]:
-        """Values of all parameters at a place, given by the number of shortest steps from the start by name."""
-        moved = {name: _grid_value(kind, name, start[name], n) for name, n in zip(names, place, strict=True)}
+        moved = {name: _grid_value(kind, name, start[name], steps) for name, steps in zip(names, place, strict=True)}
         return {**start, **moved}
 
-    gains: dict[GridPlace, float] = {}
-    best: GridPlace = (0,) * len(names)
-    for step in _GRID_STEPS:
-        for _ in range(_MAX_GRID_MOVES):
-            neighbours = list(product(*((n - step, n, n + step) for n in best)))
-            new = [place for place in neighbours if place not in gains]
-            probes = [kind.probe(summary, joint, values_at(place)) for place in new]
-            screened = screen_probes(without, probes, progress, "trying parameter values")
-            gains |= {place: _gain_with_unit_coefficient(one) for place, one in zip(new, screened, strict=True)}
-            previous = best
-            best = max(neighbours, key=lambda place: gains[place])
-            if gains[best] == gains[previous]:
-                best = previous
-                break
+    def gains_at(places: Sequence[GridPlace]) -> list[float]:
+        probes = [kind.probe(summary, joint, values_at(place)) for place in places]
+        screened = screen_probes(without, probes, progress, "trying parameter values")
+        return [_gain_with_unit_coefficient(one) for one in screened]
 
+    best, gains = pattern_search(gains_at, len(names))
+    values = values_at(best)
+    one_step_on = values_at(tuple(steps + 1 for steps in best))
+    one_step_back = values_at(tuple(steps - 1 for steps in best))
     min_gain = gains[best] - (1 - _NEAR_BEST_RATIO) * abs(gains[best])
     near_best = [values_at(place) for place, gain in gains.items() if gain >= min_gain]
-    values = values_at(best)
-    one_step_on = values_at(tuple(n + 1 for n in best))
-    one_step_back = values_at(tuple(n - 1 for n in best))
     errors: dict[ParameterKey, float] = {}
     for name in names:
         spread = float(np.ptp([near[name] for near in near_best]))
@@ -472,6 +461,38 @@ def _grid_search(
         entries[i] = _with_value(entries[i], name, values[name])
     changed = with_effects(current.experiment, entries, current.theta)
     return linearize_fit(changed, progress, current, own_rows=kind.is_undefined_where_it_acts), errors
+
+
+def pattern_search(
+    evaluate: Callable[[Sequence[GridPlace]], Sequence[float]], dimensions: int
+) -> tuple[GridPlace, dict[GridPlace, float]]:
+    """Place on a grid, near its origin, with the largest value, by a pattern search (Hooke & Jeeves 1961).
+
+    All coordinates change together, as the best one may depend on the others.
+
+    Parameters
+    ----------
+    evaluate
+        Values at some places.
+    dimensions
+        Number of coordinates.
+
+    Returns
+    -------
+    The place, and the values at all places that were evaluated.
+    """
+    values: dict[GridPlace, float] = {}
+    best: GridPlace = (0,) * dimensions
+    for step in _GRID_STEPS:
+        for _ in range(_MAX_GRID_MOVES):
+            neighbours = list(product(*((n - step, n, n + step) for n in best)))
+            new = [place for place in neighbours if place not in values]
+            values |= dict(zip(new, evaluate(new), strict=True))
+            best_neighbour = max(neighbours, key=lambda place: values[place])
+            if values[best_neighbour] <= values[best]:
+                break
+            best = best_neighbour
+    return best, values
 
 
 def _gain_with_unit_coefficient(screened: ScreenedProbe) -> float:

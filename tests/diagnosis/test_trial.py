@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from idtool.diagnosis.trial import (
     fit_trial,
     has_fixed_inertia,
     parameter_value,
+    pattern_search,
     with_effects,
     with_fixed_inertia,
 )
@@ -142,6 +144,25 @@ def test_a_value_that_is_right_stays_and_what_is_not_to_move_does_not(tmp_path: 
     fixed = fit_trial(base, entries, [0], silent, 0)
     assert fixed.errors == {}
     assert fixed.linearized.total_cv_squared_error > done.linearized.total_cv_squared_error
+
+
+def test_a_pattern_search_follows_a_ridge() -> None:
+    """To its top at (7, -7), although a change of one coordinate alone leads down; no place is evaluated twice."""
+    evaluated: list[tuple[int, ...]] = []
+
+    def height(place: Sequence[int]) -> float:
+        to_top = place[0] - place[1] - 14
+        off_ridge = place[0] + place[1]
+        return -float(to_top**2 + 100 * off_ridge**2)
+
+    def evaluate(places: Sequence[tuple[int, ...]]) -> list[float]:
+        evaluated.extend(places)
+        return [height(place) for place in places]
+
+    best, values = pattern_search(evaluate, 2)
+    assert best == (7, -7)
+    assert values == {place: height(place) for place in evaluated}
+    assert len(evaluated) == len(set(evaluated))
 
 
 def test_what_cannot_be_is_not_tried(tmp_path: Path, log: Log) -> None:
