@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from idtool.common.names import join_names
 from idtool.common.notice import Notice, unique
 from idtool.common.processes import Background
 from idtool.diagnosis.confirmation import estimate_on_parts
@@ -23,6 +24,7 @@ from idtool.diagnosis.error_summary import errors_of_fit, evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.localization import localize_residual, localize_unexplained
 from idtool.diagnosis.model_selection import fitted_record, is_reportable
+from idtool.diagnosis.quiet_joints import quiet_joints
 from idtool.diagnosis.records import (
     Diagnosis,
     DiagnosisStep,
@@ -126,6 +128,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     steps = with_doubts(_steps(search, first, last, simulate, stages), experiment.model)
     steps = _confirmed(steps, search, remaining, faults, stages)
     unknown_steps = _unknown_steps(search, remaining, last, stages)
+    held_out_notices = tuple(_held_out_notices(search, unknown_steps))
     if unknown_steps:
         search.note_limit()
     steps += unknown_steps
@@ -150,7 +153,14 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         maps_before=maps_before,
         maps_after=maps_after,
         notices=unique(
-            [*delay_notices, *_doubt_notices(steps), *_search_notices(search), *stages.notices, *short_data]
+            [
+                *delay_notices,
+                *_doubt_notices(steps),
+                *held_out_notices,
+                *_search_notices(search),
+                *stages.notices,
+                *short_data,
+            ]
         ),
         seconds=time.perf_counter() - started,
     )
@@ -366,6 +376,19 @@ def _doubt_notices(steps: Sequence[DiagnosisStep]) -> Iterator[Notice]:
     for step in steps:
         if step.doubt:
             yield Notice("effect_doubtful", "warning", None, step.doubt)
+
+
+def _held_out_notices(search: EffectSearch, unknown_steps: Sequence[DiagnosisStep]) -> Iterator[Notice]:
+    """Notice about joints with an unknown residual of which the training data contain nothing."""
+    if not unknown_steps or not search.current.experiment.has_held_out:
+        return
+    quiet = quiet_joints(search.current, search.progress)
+    joints = [step.chosen.target for step in unknown_steps if step.chosen.target in quiet]
+    if joints:
+        where = join_names(joints)
+        message = f"the held-out data disagree with the model on {where}, but the training data do not show why"
+        advice = "give another log, or change --holdout, so that the training data contain such motion or torque too"
+        yield Notice("only_held_out_disagrees", "warning", None, message, advice)
 
 
 def _short_data_notices(remaining: RemainingResidual) -> Iterator[Notice]:

@@ -4,7 +4,8 @@
 - They are small beside another one. A large effect whose model is only nearly right, such as that of an elastic joint,
   leaves a residual in proportion to itself. Some other effect always imitates a part of that, while one that is truly
   there explains all that is left.
-- Their size differs between parts of the data. What has no name is imitated by the effect that resembles it most.
+- Their size differs between parts of the data, or they explain something only now and then. What has no name is
+  imitated by the effect that resembles it most.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.diagnosis.confirmation import contradiction, estimate_on_parts
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.model_selection import block_gains
 from idtool.diagnosis.noise_floor import estimate_noise_floor
+from idtool.diagnosis.screen import sum_standard_error
 from idtool.dynamics.effects import effect_from_entry
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import EffectEntry
@@ -26,7 +29,8 @@ _MIN_SHARE_OF_LARGEST = 0.1  # of what the largest effect explains, that needs n
 _MIN_EXPLAINED = 0.7  # of its joint's residual above the noise floor, that a smaller effect must explain
 _MIN_EXPLAINED_ON_ITS_JOINT = 0.5  # likewise, by one that is not small beside the largest on its joint
 _MIN_EXPLAINED_BY_ANY = 0.2  # likewise, by every effect
-_MIN_EXPLAINED_IF_VARYING = 0.5  # likewise, by an effect whose size differs between parts of the data
+_MIN_EXPLAINED_IF_VARYING = 0.5  # likewise, by an effect that differs between parts of the data
+_MIN_GAIN_SIGNIFICANCE = 2.0  # standard errors of a gain, by its scatter over blocks of time; less is varying
 
 
 @dataclass(frozen=True)
@@ -72,9 +76,11 @@ def find_unproven(
     floor = estimate_noise_floor(current.experiment, theta, progress, margin, of_true_torque=True)
     above_floor = np.maximum(current.mean_squared_residual - np.square(floor.noise), 0.0)
     explained = []
+    gains = []
     for reduced in without:
         complete = linearize_fit(current.experiment, progress, reduced)
         explained.append(reduced.mean_squared_residual - complete.mean_squared_residual)
+        gains.append(block_gains(reduced, complete))
     totals = np.sum(explained, axis=1)
 
     largest = int(np.argmax(totals))
@@ -94,6 +100,10 @@ def find_unproven(
             units = effect_from_entry(entries[k], current.experiment.model).parameter_units()
             if difference := contradiction(sizes, units):
                 return UnprovenEffect(k, f"it is not the same everywhere in the data ({difference})")
+            if gains[k].sum() < _MIN_GAIN_SIGNIFICANCE * sum_standard_error(gains[k]):
+                return UnprovenEffect(
+                    k, "it explains less than half of its joint's residual, and only in parts of the data"
+                )
         if share < _MIN_EXPLAINED_BY_ANY:
             return UnprovenEffect(
                 k, "it explains less than a fifth of what its joint's residual has above the noise floor"

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import SAMPLES
-from disturbed import silent
+from disturbed import experiment_of, silent, torque_on_joint
 from sentences import sentences
 
+from idtool.common.arrays import Array
 from idtool.data.signals import Batch
 from idtool.diagnosis import selection_round
 from idtool.diagnosis.diagnose import Options, diagnose
@@ -19,7 +20,7 @@ from idtool.diagnosis.linearized_fit import linearize_fit
 from idtool.diagnosis.noise_gain import noise_gain_with_probe
 from idtool.diagnosis.selection_round import find_best_effect
 from idtool.diagnosis.summarize_data import summarize_data
-from idtool.diagnosis.trial import with_effects
+from idtool.diagnosis.trial import with_effects, with_fixed_inertia
 from idtool.dynamics.effects.joint_elasticity import JointElasticity
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Experiment, prepare
@@ -41,6 +42,21 @@ def test_sample_logs_hide_nothing(robot: str) -> None:
     found = diagnose(tried, Options(simulate=False), silent)
     assert (found.verdict, found.steps, sentences(found.notices)) == ("no_disagreement", (), ())
     assert found.floor["overall"] == pytest.approx(found.after.train["overall"], rel=0.05)
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.75])
+def test_what_only_the_held_out_data_contain_is_said_to_be_there(tmp_path: Path, begin: float) -> None:
+    """Torque that no effect has, throughout the log or only in the held-out part of it."""
+
+    def strange(t: Array, q: Array, v: Array, tau: Array) -> Array:
+        return np.where(t > begin * t[-1], np.sin(9 * t), 0.0)
+
+    experiment = with_fixed_inertia(experiment_of(tmp_path, torque_on_joint(0, strange)))
+    found = diagnose(experiment, Options(effects=("parallel_spring",), simulate=False), silent)
+    assert found.verdict == "unexplained"
+    messages = [notice.message for notice in found.notices if notice.code == "only_held_out_disagrees"]
+    expected = "the held-out data disagree with the model on j1, but the training data do not show why"
+    assert messages == ([expected] if begin else [])
 
 
 def test_the_noise_that_a_soft_joint_cancels_does_not_depend_on_gaps(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 from disturbed import Hidden, experiment_of, motion, nothing, silent, torque_on_joint
 
 from idtool.common import processes
+from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
 from idtool.diagnosis import (
     candidate_fit,
@@ -537,6 +538,25 @@ def test_a_small_effect_that_leaves_much_is_removed(tmp_path: Path, rest: float)
     expected = [SPRING, DRAG] if rest == 0 else [SPRING]
     assert owners(search) == entries_in_model(search) == expected
     assert [sentence[: len(UNPROVEN)] for sentence in search.removed] == ([] if rest == 0 else [UNPROVEN])
+
+
+@pytest.mark.parametrize(("share_of_time", "is_removed"), [(0.05, True), (1.0, False)])
+def test_what_explains_a_part_of_the_residual_must_do_so_throughout_the_data(
+    tmp_path: Path, share_of_time: float, is_removed: bool
+) -> None:
+    """A spring that acts now and then, or always, beside something that no effect explains."""
+
+    def sometimes(t: Array, q: Array, v: Array, tau: Array) -> Array:
+        acts = (t / t[-1] * 4) % 1 < share_of_time
+        return np.where(acts, STIFFNESS * (q - 0.4), 0.0) / np.sqrt(share_of_time) + 2 * np.sin(9 * t)
+
+    experiment = with_fixed_inertia(experiment_of(tmp_path, torque_on_joint(0, sometimes)))
+    search = search_with(experiment, [SPRING])
+    as_if_found(search)
+    search._remove_unproven()
+    assert owners(search) == ([] if is_removed else [SPRING])
+    reason = "it explains less than half of its joint's residual, and only in parts of the data"
+    assert any(reason in sentence for sentence in search.removed) is is_removed
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), SolverError("solver", "as this test wants it")])
