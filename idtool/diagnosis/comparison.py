@@ -197,7 +197,7 @@ def compare(measured: Experiment, simulated: Experiment, options: Options, progr
     robot = diagnose(with_simulator_effects, options, _prefixed(progress, "robot"))
 
     pair = FittedPair(simulator.last, robot.last, _prefixed(progress, "comparison"))
-    differences, changed_keys = _changes(pair)
+    differences, changed_keys = _changes(pair, _unexplained_squares(simulator))
     changes = tuple(change for change in differences if not change.reason)
     before = pair.gap_level((), options.simulate)
     notices = [*_pair_notices(log_pairs, units), *_simulator_notices(simulator)]
@@ -246,8 +246,25 @@ def _with_further_effects(experiment: Experiment, entries: Sequence[EffectEntry]
     return with_effects(experiment, [*configured, *more]) if more else experiment
 
 
-def _changes(pair: FittedPair) -> tuple[list[Change], list[TermKey]]:
-    """All differences, those to be made first and the largest share first; and the effects to be changed."""
+def _unexplained_squares(diagnosis: Diagnosis) -> Array:
+    """Mean squared torque error above the noise floor by joint, with all effects that were found, shape (n,)."""
+    squares = []
+    for name in diagnosis.last.experiment.equation.joints:
+        square = diagnosis.after.torque[name] ** 2 - diagnosis.floor[name] ** 2
+        squares.append(max(square, 0.0) if diagnosis.is_floor_known else 0.0)
+    return np.array(squares)
+
+
+def _changes(pair: FittedPair, unexplained: Array) -> tuple[list[Change], list[TermKey]]:
+    """All differences, those to be made first and the largest share first; and the effects to be changed.
+
+    Parameters
+    ----------
+    pair
+        Models of simulator and robot.
+    unexplained
+        Mean squared error that the simulator's model has on the simulator's own logs, above the noise, shape (n,).
+    """
     differences: dict[TermKey, list[Change]] = {}  # a change of all bodies is one of each of them
     significant = []
     for key in pair.keys:
@@ -261,7 +278,7 @@ def _changes(pair: FittedPair) -> tuple[list[Change], list[TermKey]]:
             is_significant = not is_on_both_sides or _is_significant(change)
         if is_significant:
             significant.append(key)
-    gap_shares = _gap_shares(pair, significant)
+    gap_shares = _gap_shares(pair, significant, unexplained)
 
     changes = []
     delay_change = _delay_change(pair)
@@ -296,7 +313,7 @@ def _needed(gap_shares: Mapping[TermKey, _GapShare]) -> list[TermKey]:
     return [key for key, gap_share in gap_shares.items() if not gap_share.reason]
 
 
-def _gap_shares(pair: FittedPair, significant: Sequence[TermKey]) -> dict[TermKey, _GapShare]:
+def _gap_shares(pair: FittedPair, significant: Sequence[TermKey], unexplained: Array) -> dict[TermKey, _GapShare]:
     """Share of the gap between simulator and robot that each significant difference closes."""
     joints = pair.robot_fit.experiment.equation.joints
     torque_std = np.array([pair.robot_fit.evaluation.torque_std[name] for name in joints])
@@ -310,7 +327,11 @@ def _gap_shares(pair: FittedPair, significant: Sequence[TermKey]) -> dict[TermKe
         others = [other for other in significant if other != key]
         reopened = pair.mean_squared_errors(others) - after
         share = float(weights @ reopened) / gap if gap > 0 else 0.0
-        reason = "" if (reopened > least_change).any() else "hardly changes the torque"
+        reason = ""
+        if not (reopened > least_change).any():
+            reason = "hardly changes the torque"
+        elif not (reopened > np.maximum(least_change, unexplained)).any():
+            reason = "changes the torque by less than the error of the simulator's model on the simulator's own logs"
         gap_shares[key] = _GapShare(share, reason)
 
     needed = _needed(gap_shares)

@@ -30,6 +30,8 @@ from idtool.robot.urdf.reading import read_robot
 
 Array = NDArray[np.float64]
 
+NOTHING = np.zeros(2)  # mean squared error above the noise
+
 
 def term(folder: Path, effect: str, **parameters: Any) -> FittedTerm:
     """An effect on the first joint with its parameters as they are configured."""
@@ -101,7 +103,7 @@ def test_stops_in_another_order_are_compared_one_by_one(tmp_path: Path) -> None:
     simulator = fitted(tmp_path / "simulator", stop(0.7), stop(-0.7), hidden=stopped_at((0.7, 20), (-0.7, 40)))
     robot = fitted(tmp_path / "robot", stop(-0.7), stop(0.7), hidden=stopped_at((-0.7, 40), (0.7, 60)))
     pair = FittedPair(simulator, robot, silent)
-    changes, changed = _changes(pair)
+    changes, changed = _changes(pair, NOTHING)
     stops = [change for change in changes if change.effect == "end_stop"]
     assert [change.quantities["position"].simulator for change in stops] == [0.7, -0.7]
     needed, other = stops
@@ -112,6 +114,21 @@ def test_stops_in_another_order_are_compared_one_by_one(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.square([level.torque["j1"], level.torque["j2"]]), pair.mean_squared_errors(changed))
 
 
+def test_a_difference_below_the_error_of_the_simulators_model_needs_no_change(tmp_path: Path) -> None:
+    simulator = fitted(tmp_path / "simulator", stop(0.7), hidden=stopped_at((0.7, 20)))
+    robot = fitted(tmp_path / "robot", stop(0.7), hidden=stopped_at((0.7, 60)))
+    pair = FittedPair(simulator, robot, silent)
+    gap = pair.mean_squared_errors(())[0]
+    for unexplained, reason in (
+        (0.5 * gap, ""),
+        (2 * gap, "changes the torque by less than the error of the simulator's model on the simulator's own logs"),
+    ):
+        changes, changed = _changes(pair, np.array([unexplained, 0.0]))
+        (change,) = [change for change in changes if change.effect == "end_stop"]
+        assert change.reason == reason
+        assert bool(changed) is not bool(reason)
+
+
 def test_a_left_out_share_is_no_difference(tmp_path: Path) -> None:
     """Both have a play; its share of friction on the motor's side was not significant in one of them."""
     play = {"effect": "backlash", "joint": "j1", "parameters": {"width": {"value": 0.02, "standard_error": 0.001}}}
@@ -119,7 +136,7 @@ def test_a_left_out_share_is_no_difference(tmp_path: Path) -> None:
     bare = fitted(tmp_path / "bare", play)
     full = fitted(tmp_path / "full", shared)
     for simulator, robot in ((bare, full), (full, bare)):
-        changes, _ = _changes(FittedPair(simulator, robot, silent))
+        changes, _ = _changes(FittedPair(simulator, robot, silent), NOTHING)
         (change,) = [change for change in changes if change.effect == "backlash"]
         assert set(change.quantities) == {"width", "motor_friction"}
         assert {change.quantities["motor_friction"].simulator, change.quantities["motor_friction"].robot} == {0.0, 0.1}
@@ -137,7 +154,7 @@ def test_a_value_that_was_not_fitted_to_the_logs_of_one_side_is_not_its_own(tmp_
         (FittedPair(simulator, robot, silent), "robot", "simulator"),
         (FittedPair(robot, simulator, silent), "simulator", "robot"),
     ):
-        changes, changed = _changes(pair)
+        changes, changed = _changes(pair, NOTHING)
         (change,) = [change for change in changes if change.effect == "stribeck_friction"]
         assert change.reason == ""
         quantity = change.quantities["velocity"]
