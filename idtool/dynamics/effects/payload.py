@@ -37,6 +37,7 @@ from idtool.robot.model import RobotModel
 
 _MAX_MASS_ERROR = 0.25  # of the mass: a standard error with which it is still named
 _ROUNDING = 1e-9  # of the inertia's size
+_MIN_MASS = 1e-9  # kg: less is no payload
 _MIN_INFORMATION = 1e-9  # of the largest eigenvalue, that every other is taken to have at least
 _START_INERTIA = 1e-3  # m²: inertia over mass at the start of a search
 _MAX_START_DISTANCE = 1.0  # m: from the link's frame to the centre of mass at the start of a search
@@ -196,9 +197,10 @@ def nearest_realizable(c: Array, information: Array) -> Array | None:
 
     With J = L Lᵀ, every L is a body (Rucker & Wensing 2022), so that the search is unconstrained.
     """
-    if not c[0] > 0:
+    if not c[0] > _MIN_MASS:
         return None
-    size = np.sqrt(np.maximum(information.diagonal(), np.finfo(float).tiny))
+    largest = information.diagonal().max()
+    size = np.sqrt(np.maximum(information.diagonal(), np.finfo(float).eps ** 2 * largest))
     values, vectors = np.linalg.eigh(information / size[:, None] / size)
     values = np.maximum(values, _MIN_INFORMATION * values[-1])
     root = (vectors * np.sqrt(values)).T * size  # rootᵀ root is the information
