@@ -10,6 +10,9 @@ from idtool.diagnosis.effect_order import MAX_ERROR_RATIO
 from idtool.diagnosis.records import DiagnosisStep
 from idtool.dynamics.effects import effect_name
 
+_MIN_SIGNIFICANCE = 3.0  # ratio of a gain to its standard error by the scatter over blocks of time
+_MIN_SHARE = 0.75  # of its joint's squared residual above the noise, explained by an effect of less significance
+
 
 def doubt_about(
     step: DiagnosisStep,
@@ -47,6 +50,12 @@ def doubt_about(
             f"{step.chosen.words} increases the error {where}in this step; it lowers the "
             "error only together with other effects, or away from reversals of the velocity, where the direction of "
             "friction is certain"
+        )
+
+    if step.significance < _MIN_SIGNIFICANCE and step.chosen.score < _MIN_SHARE:
+        return (
+            f"{step.chosen.words} explains {100 * step.chosen.score:.0f} % of the squared residual above the noise "
+            "floor, and most of that in a few parts of the data, so something else may be behind it"
         )
 
     joint = step.chosen.joint or "overall"

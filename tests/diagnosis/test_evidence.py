@@ -76,6 +76,20 @@ def test_what_the_data_contradict_is_doubtful(tmp_path: Path) -> None:
     assert "is not the same everywhere in the data: its stiffness is 2" in doubt
 
 
+@pytest.mark.parametrize(
+    ("significance", "score", "is_doubtful"), [(2.0, 0.5, True), (2.0, 0.9, False), (5.0, 0.5, False)]
+)
+def test_what_explains_a_part_and_that_in_a_few_places_is_doubtful(
+    tmp_path: Path, significance: float, score: float, is_doubtful: bool
+) -> None:
+    found = diagnosed(experiment_of(tmp_path, spring))
+    (step,) = found.steps
+    changed = replace(step, significance=significance, chosen=replace(step.chosen, score=score))
+    doubt = doubt_about(changed, UNITS, found.floor, found.after.torque, ())
+    assert ("explains 50 % of the squared residual" in doubt) is is_doubtful
+    assert bool(doubt) is is_doubtful
+
+
 def test_what_holds_everywhere_is_not(tmp_path: Path) -> None:
     (step,) = diagnosed(experiment_of(tmp_path, spring)).steps
     assert (step.chosen.effect, len(step.parts), step.doubt) == ("parallel_spring", 2, "")
