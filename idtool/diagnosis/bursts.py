@@ -56,11 +56,11 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
 
     Returns
     -------
-    Hypotheses about contacts, for each training log separately.
+    Hypotheses about contacts, for each training log separately. A burst may have several windows of time.
 
-    - If the torque begins or ends within milliseconds: one burst of all such windows, on no link in particular. If the
-      residual is large in other windows too, a burst of all windows precedes it.
-    - If it comes and goes slowly: one burst for each link on which a push explains it.
+    Where the residual begins or ends within milliseconds, it is a contact on an unknown link: all such windows are one
+    burst. If the residual is large in other windows too, another burst with all windows precedes it. Where it comes
+    and goes slowly, it is a push: there is one burst for each link on which a push explains it.
     """
     residual = robust_residual(experiment, theta, progress, "looking for contacts")
     if len(experiment.runs) == 1:

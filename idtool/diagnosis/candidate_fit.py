@@ -7,12 +7,13 @@ to be negligible, implausible or not determined by the data.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.exceptions import ConfigError
 from idtool.diagnosis.held_out_error import held_out_mean_squares, lowers_held_out_likelihood
-from idtool.diagnosis.linearized_fit import LinearizedFit
+from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import FittedCandidate, block_gains, is_reportable
 from idtool.diagnosis.noise_floor import estimate_noise_floor
 from idtool.diagnosis.screen import ScreenedProbe
@@ -26,9 +27,10 @@ from idtool.robot.config import EffectEntry
 
 _MAX_GAUSS_NEWTON_STEPS = 5  # of the fit of a candidate for which one step is not enough
 _MIN_SHARE_OF_SCREENED_GAIN = 0.8  # that a fit must reach; otherwise, other effects are fitted anew with it
-MIN_REPLACING_GAIN_RATIO = 0.75  # to the gain of what a candidate is to replace, where a fit explains what it promises
+MIN_REPLACING_GAIN_RATIO = 0.75  # of a candidate's screened gain to the gain of the effects that it is to replace
 _MAX_HELD_OUT_RATIO = 1.01  # ratio of the squared residuals of held-out data, with an effect and without it
 _MAX_LOSS_SHARE = 0.2  # largest ratio of the loss in some blocks to the gain in others
+_MIN_CONCENTRATION = 4.0  # ratio of the mean squared residual where an effect is undefined to that elsewhere
 _MIN_PARAMETER_SIGNIFICANCE = 2.5  # least ratio of an optional parameter to its standard error, to be kept
 _ACCURACY_OF_EFFECTS = 0.01  # share of a strong effect's torque that its model leaves at best
 _MIN_SHARE_OF_TORQUE = 5e-3  # of its joint's rms torque, that a reported effect must explain
@@ -116,7 +118,9 @@ def fit_candidate(
     entries = (*base.experiment.config.effects, candidate.entry)
     newest = len(entries) - 1
     moving = [*imitators, newest]
-    max_steps = _MAX_GAUSS_NEWTON_STEPS if imitators else 1  # screening has found the candidate's own values already
+    max_steps = 1  # the screening has found the candidate's own values already
+    if imitators:
+        max_steps = _MAX_GAUSS_NEWTON_STEPS
     trial = fit_trial(base, entries, moving, progress, max_steps=max_steps)
     if not imitators and _undetermined_parameter(trial, newest):  # it may be determined closer to the optimum
         trial = fit_trial(base, trial.entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
@@ -249,13 +253,51 @@ def rejection_reason(
         parameter = _undetermined_parameter(trial, index)
         if parameter:
             return f"its {parameter} is not determined by the data"
-    loss = -np.minimum(candidate.gains, 0).sum()
-    gain = np.maximum(candidate.gains, 0).sum()
-    if loss > _MAX_LOSS_SHARE * gain:
+    if effect_types()[candidate.probe.effect].is_undefined_where_it_acts:
+        # its torque is known so roughly there that it may increase the error of a part
+        if not _is_concentrated_where_undefined(fit, base, str(candidate.probe.joint), progress):
+            return "acts where the residual is not much larger than elsewhere"
+    elif _increases_error_in_parts(candidate):
         return "reduces the error in some parts of the log and increases it in others"
     if _worsens_held_out_error(candidate, base):
         return "increases the error on the held-out data"
     return _TOO_SMALL if _is_too_small(candidate, base, initial, progress) else ""
+
+
+def _increases_error_in_parts(candidate: FittedCandidate) -> bool:
+    """True if what an effect loses in some blocks is much beside what it gains in others."""
+    loss = -np.minimum(candidate.gains, 0).sum()
+    gain = np.maximum(candidate.gains, 0).sum()
+    return bool(loss > _MAX_LOSS_SHARE * gain)
+
+
+def _is_concentrated_where_undefined(fit: LinearizedFit, base: LinearizedFit, joint: str, progress: Progress) -> bool:
+    """True if a joint's residual without an effect is much larger at the rows where the effect is undefined.
+
+    A backlash is undefined while its teeth are apart, and acts just then. Where the residual is as large while they
+    touch, it has another cause.
+
+    Parameters
+    ----------
+    fit, base
+        The models with the effect and without it.
+    joint
+        Name of the joint.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    """
+    defined_rows_only = replace(base, row_experiment=fit.experiment)
+    base_where_defined = linearize_fit(base.experiment, progress, defined_rows_only)
+    j = base.experiment.equation.joints.index(joint)
+    row_count = base.row_counts.sum(axis=0)[j]
+    defined_row_count = base_where_defined.row_counts.sum(axis=0)[j]
+    if defined_row_count == row_count:
+        return False
+    squares = base.sse.sum(axis=0)[j]
+    defined_squares = base_where_defined.sse.sum(axis=0)[j]
+    mean_square = defined_squares / defined_row_count
+    mean_square_where_undefined = (squares - defined_squares) / (row_count - defined_row_count)
+    return bool(mean_square_where_undefined > _MIN_CONCENTRATION * mean_square)
 
 
 def _is_too_small(candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, progress: Progress) -> bool:

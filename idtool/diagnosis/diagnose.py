@@ -387,7 +387,7 @@ def _held_out_notices(search: EffectSearch, unknown_steps: Sequence[DiagnosisSte
     if joints:
         where = join_names(joints)
         message = f"the held-out data disagree with the model on {where}, but the training data do not show why"
-        advice = "give another log, or change --holdout, so that the training data contain such motion or torque too"
+        advice = "give another log, or another --holdout: the training data need such motion and torque too"
         yield Notice("only_held_out_disagrees", "warning", None, message, advice)
 
 

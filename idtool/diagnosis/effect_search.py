@@ -74,8 +74,8 @@ class EffectSearch:
     last_round
         The latest round in which effects were tried; None before the first.
     reversal_joints
-        Joints whose friction does not follow its law near reversals, with their rms residual with and without the rows
-        near reversals [N·m or N]. If there are any, these rows are excluded.
+        Rms residual of the joints whose friction does not follow its law near reversals [N·m or N]: with the rows near
+        reversals, and without them. If there are such joints, these rows are excluded.
     failed
         Reason why an effect could not be fitted or was refused, by effect and target.
     stopped
@@ -442,11 +442,13 @@ class EffectSearch:
         It was the best of all kinds in a round whose model had the same other effects.
         """
         others = [effect.entry for effect in self.added if effect not in replaced]
-        present = _subjects([*self.model.given, *others])
+        subjects_of_others = _subjects([*self.model.given, *others])
         for effect in replaced:
             base = effect.selection.base
-            is_alike = base.reversal_margin == self.current.reversal_margin
-            if effect in self._found_among_all and is_alike and _subjects(base.experiment.config.effects) == present:
+            was_best_of_all = effect in self._found_among_all
+            has_same_rows = base.reversal_margin == self.current.reversal_margin
+            has_same_effects = _subjects(base.experiment.config.effects) == subjects_of_others
+            if was_best_of_all and has_same_rows and has_same_effects:
                 return True
         return False
 

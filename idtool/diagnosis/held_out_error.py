@@ -50,17 +50,15 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
 def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> bool:
     """True if the held-out data are less likely under the model with an effect than under that without it.
 
-    The two are compared at the rows at which the model with the effect is defined. A backlash is undefined while its
-    teeth are apart, which is when it acts, so that these rows tell little of it. The answer is also False if all rows
-    together are clearly more likely with it. An effect that the held-out motion does not excite hardly changes the
-    likelihood: the answer is False.
+    The rows at which the model with the effect is defined decide. A backlash is undefined while its teeth are apart,
+    and acts just then. So an effect that makes these rows less likely is accepted all the same if it makes all rows
+    together clearly more likely. An effect that the held-out motion does not excite is accepted: it changes hardly
+    anything.
 
     Parameters
     ----------
-    before
-        The model without the effect.
-    after
-        The model with it.
+    before, after
+        The models without the effect and with it.
     """
     change_where_defined = held_out_log_change(before, after, after.experiment.equation)
     if change_where_defined <= _MAX_LOG_INCREASE:
@@ -73,15 +71,13 @@ def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> b
 def held_out_log_change(before: LinearizedFit, after: LinearizedFit, row_equation: LinearModel) -> float:
     """Change of the logarithm of the held-out data's squared error by an effect, summed over the joints.
 
-    It is below 0 if the effect lowers the error. Each joint's residual counts relative to its own size, so that a joint
-    that still lacks a large effect does not decide alone. Without held-out data, it is 0.
+    A negative change is an improvement. Each joint counts relative to its own error, so that a joint that still lacks a
+    large effect does not decide alone. Without held-out data, the change is 0.
 
     Parameters
     ----------
-    before
-        The model without the effect.
-    after
-        The model with it.
+    before, after
+        The models without the effect and with it.
     row_equation
         Equation whose columns must be defined at a row for it to count.
     """

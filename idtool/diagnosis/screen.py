@@ -543,12 +543,8 @@ def _solve_all(
 
     Parameters
     ----------
-    linearized
-        The model.
-    probes
-        The probes.
-    sums
-        Gram matrices.
+    linearized, probes, sums
+        The model, the probes, and their Gram matrices.
     coefficients
         Indices of each probe's coefficients in the sums, shape (k,).
     products_of
@@ -580,10 +576,8 @@ def _solve_same_size(
 
     Parameters
     ----------
-    linearized
-        The model.
-    probes
-        The probes.
+    linearized, probes
+        The model, and the probes.
     block_P, block_h, block_CC
         Gram matrices as in `_ProbeSums`, shape (F, r, i, k), (F, i, k) and (F, i, k, k).
     """

@@ -214,6 +214,17 @@ def test_an_effect_that_is_undefined_where_it_acts_is_compared_on_the_same_rows(
     np.testing.assert_array_equal(on_rows.linearized.row_counts, base.row_counts)
 
 
+@pytest.mark.parametrize("is_play", [True, False])
+def test_a_play_is_believed_if_the_residual_is_large_while_its_teeth_are_apart(tmp_path: Path, is_play: bool) -> None:
+    """A torque where the torque of the joint is small, as of teeth that are apart, or an oscillation all the time."""
+    apart = torque_on_joint(0, lambda t, q, v, tau: 3 * np.exp(-np.square(tau / 0.3)))
+    always = torque_on_joint(0, lambda t, q, v, tau: 3 * np.sin(40 * t))
+    base = linearize_fit(experiment_of(tmp_path, apart if is_play else always, rows=slice(8000)), silent)
+    play = EffectEntry(effect="backlash", joint="j1", parameters={"width": 0.002, "motor_friction": 0.5})
+    fit = linearize_fit(with_effects(base.experiment, [play], base.theta), silent, base)
+    assert candidate_fit._is_concentrated_where_undefined(fit, base, "j1", silent) is is_play
+
+
 def test_what_is_left_out_leaves_more_on_its_joint(tmp_path: Path) -> None:
     """Bodies could imitate the spring on the other joint too, but are known here."""
     fit = search_with(with_fixed_inertia(experiment_of(tmp_path, spring, rows=slice(8000))), [SPRING]).current
