@@ -264,6 +264,27 @@ def test_backlash_explains_blips_and_what_it_does_not_is_left_out(tmp_path: Path
         assert away.max() < 150  # ms from where teeth are apart
 
 
+def test_while_friction_holds_the_link_in_the_play_the_motor_does_not_overcome_it(tmp_path: Path) -> None:
+    """The torque of the measured motion has the friction of a link that moves; MuJoCo's rests, or moves otherwise."""
+    friction = 2.0  # N·m: more than the link's weight
+    spec = with_motor("roll", 1e-5)
+    spec.joint("roll").frictionloss = friction
+    model = spec.compile()
+    act, stiffness = toothed(model, WIDTH)
+    sag = {"roll": lambda tau: tau / stiffness + np.sign(tau) * WIDTH / 2}
+    log = recorded(model, 3.0, act, motors={"roll": ("motor", N)}, steps=20, sag=sag)
+    urdf, csv = written(tmp_path, log)
+    dry = entry("coulomb_friction", "roll", coulomb=friction)
+    squares = []
+    for effects in ((BACKLASH, dry), (dry,)):
+        tried = experiment(urdf, csv, *effects, rotors=rotor("roll", 1e-5))
+        (batch,) = tried.runs[0].signals.batches(every_sample=True)
+        residual = batch.filter(batch.motion.tau - tried.equation.torque(batch.motion, tried.equation.prior))
+        squares.append(np.square(residual).sum(axis=1))
+    with_play, without = squares
+    assert (with_play < 0.4 * without).all()
+
+
 def gears(build: Build, *entries: dict[str, Any]) -> dict[int, Transmission]:
     """What entries make of a joint with the lift's motor."""
     text = (

@@ -49,8 +49,8 @@ class Backlash(FixedJointEffect):
     In the torque equation the link's motion is the measured one less the position of the motor within the play. While
     the teeth are apart, the motor moves as measured and the link falls freely, so that the play closes with transmitted
     torque / the link's inertia, both as the model without the play has them; where teeth meet they stay. Of friction,
-    ``motor_friction``, a share that may be left out, acts on the motor side, and is not transmitted; the rest slows the
-    falling link down.
+    ``motor_friction``, a share that may be left out, acts on the motor side, and is not transmitted; the rest acts on
+    the link at the link's own velocity. It slows the falling link down, or holds it where it is.
     """
 
     id = "backlash"
@@ -67,7 +67,7 @@ class Backlash(FixedJointEffect):
     def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, nonlinear_values)
         self._rigid_joint_model: Callable[[Motion], Linearization] | None = None
-        self._latest: tuple[Motion, Array] | None = None  # a motion, and the motor's position in the play along it
+        self._latest: tuple[Motion, _Play] | None = None  # a motion, and the play along it
 
     @classmethod
     @override
@@ -98,8 +98,8 @@ class Backlash(FixedJointEffect):
         linearized: Linearization,
     ) -> Array:
         """Total change of the torque by the play; its fitted coefficient should be 1."""
-        position = _motor_in_play(motion, joint, nonlinear_values, linearized)
-        return _torque_change(position, motion.dt, joint, linearized)
+        play = _play_along(motion, joint, nonlinear_values, linearized)
+        return _torque_change(play, motion.dt, joint, linearized)
 
     @classmethod
     @override
@@ -116,24 +116,23 @@ class Backlash(FixedJointEffect):
         if self._rigid_joint_model is None:
             return None
         model = self._rigid_joint_model(motion)
-        return _torque_change(self._motor_position(motion, model), motion.dt, self.joint, model)
+        return _torque_change(self._play(motion, model), motion.dt, self.joint, model)
 
     @override
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
         """Samples while the teeth are apart and until their impact has decayed, on all joints that it shakes."""
         if self._rigid_joint_model is None:
             return {}
-        position = self._motor_position(motion, self._rigid_joint_model(motion))
-        speed = np.abs(np.gradient(position, motion.dt))
+        play = self._play(motion, self._rigid_joint_model(motion))
+        speed = np.abs(np.gradient(play.motor_position, motion.dt))
         apart = speed > _MIN_SPEED_APART * self.nonlinear_values["width"]
         reach = max(round(_IMPACT_DECAY / motion.dt), 1)
         mask = ndimage.binary_dilation(apart, iterations=reach)
         return dict.fromkeys(range(len(motion.q)), mask)
 
-    def _motor_position(self, motion: Motion, model: Linearization) -> Array:
-        """Position of the motor within the play, shape (N,)."""
+    def _play(self, motion: Motion, model: Linearization) -> _Play:
         if self._latest is None or self._latest[0] is not motion:
-            self._latest = motion, _motor_in_play(motion, self.joint, self.nonlinear_values, model)
+            self._latest = motion, _play_along(motion, self.joint, self.nonlinear_values, model)
         return self._latest[1]
 
     @override
@@ -146,13 +145,29 @@ class Backlash(FixedJointEffect):
         )
 
 
-def _torque_change(position: Array, dt: float, joint: int, linearized: Linearization) -> Array:
+@dataclass(frozen=True)
+class _Play:
+    """Play along a motion.
+
+    Attributes
+    ----------
+    motor_position
+        Position of the motor within the play, in [−width/2, width/2], shape (N,) [rad or m].
+    friction_change
+        Friction of the link at its own velocity less that at the motor's, shape (N,) [N·m or N].
+    """
+
+    motor_position: Array
+    friction_change: Array
+
+
+def _torque_change(play: _Play, dt: float, joint: int, linearized: Linearization) -> Array:
     """Change of the predicted torque by the play, shape (nv, N); less than all, as a mistimed blip is worse.
 
     Parameters
     ----------
-    position
-        Position of the motor within the play, shape (N,).
+    play
+        The play along the motion.
     dt
         Time between samples [s].
     joint
@@ -160,27 +175,34 @@ def _torque_change(position: Array, dt: float, joint: int, linearized: Lineariza
     linearized
         The model without the play.
     """
+    position = play.motor_position
     velocity = np.gradient(position, dt)
     acceleration = np.gradient(velocity, dt)
-    return _BLIP_SHARE * linearized.torque_change_by_motion(joint, -position, -velocity, -acceleration)
+    change = linearized.torque_change_by_motion(joint, -position, -velocity, -acceleration)
+    change[joint] += play.friction_change
+    return _BLIP_SHARE * change
 
 
-def _motor_in_play(
-    motion: Motion, joint: int, nonlinear_values: Mapping[str, float], linearized: Linearization
-) -> Array:
-    """Position of the motor within the play, shape (N,): the mean over widths about the one given.
+def _play_along(motion: Motion, joint: int, nonlinear_values: Mapping[str, float], linearized: Linearization) -> _Play:
+    """Play along a motion: the mean over widths about the one given.
 
     Teeth give when they meet: two lags of 2 ms, as good as the spring of `add_to_forward_model`. When they meet is
     known no better than to some milliseconds, and a blip that comes too early or too late explains less than none.
     """
     relative = _relative_motion(motion, joint, nonlinear_values["motor_friction"], linearized)
     width = nonlinear_values["width"]
-    positions = [_simulate_play(relative, factor * width) for factor in _WIDTH_BLUR]
-    position = np.mean(positions, axis=0)
-    pole = np.exp(-motion.dt / _TEETH_LAG)
+    plays = [_simulate_play(relative, factor * width) for factor in _WIDTH_BLUR]
+    motor_position = np.mean([play.motor_position for play in plays], axis=0)
+    friction_change = np.mean([play.friction_change for play in plays], axis=0)
+    return _Play(_with_teeth_lag(motor_position, motion.dt), _with_teeth_lag(friction_change, motion.dt))
+
+
+def _with_teeth_lag(x: Array, dt: float) -> Array:
+    """Series after two low-passes, shape (N,)."""
+    pole = np.exp(-dt / _TEETH_LAG)
     for _ in range(2):
-        position = lfilter([1 - pole], [1, -pole], position, zi=[pole * position[0]])[0]
-    return np.asarray(position)
+        x = lfilter([1 - pole], [1, -pole], x, zi=[pole * x[0]])[0]
+    return np.asarray(x)
 
 
 class _RelativeMotion:
@@ -223,14 +245,16 @@ class _RelativeMotion:
         self.driven_up: list[int] = np.flatnonzero(transmitted > 0).tolist()
         self.driven_down: list[int] = np.flatnonzero(transmitted < 0).tolist()
         # changes of the relative velocity from sample to sample
+        self._transmitted = transmitted.tolist()
+        self._inertia_per_step = (inertia / self.dt).tolist()
         self._velocity_change = (without_dry_friction / inertia * self.dt).tolist()
         self._damping_divisor = (1 + link_viscosity / inertia * self.dt).tolist()
         self._max_friction_velocity_change = ((1 - motor_friction) * dry_friction_level / inertia * self.dt).tolist()
         self._motor_velocity = velocity.tolist()
         self._paths: dict[int, _Path] = {}  # by the sample at which the teeth part
 
-    def displacement_until_contact(self, separation: int, side: int, width: float) -> list[float]:
-        """Displacement of the motor relative to the link from separation to contact [rad or m].
+    def path_until_contact(self, separation: int, side: int, width: float) -> tuple[list[float], list[float]]:
+        """Displacement of the motor relative to the link from separation to contact, and change of the link's friction.
 
         Without contact, to the last sample. The width only says where a path ends: plays of all widths share it.
 
@@ -245,13 +269,11 @@ class _RelativeMotion:
         """
         path = self._paths.get(separation)
         if path is None:
-            path = self._paths[separation] = _Path([], [], 0.0, is_complete=False)
+            path = self._paths[separation] = _Path([], [], [], 0.0, is_complete=False)
         while True:
             contact = bisect_left(path.largest_depths, width)
-            if contact < len(path.largest_depths):
-                return path.displacements[: contact + 1]
-            if path.is_complete:
-                return path.displacements
+            if contact < len(path.largest_depths) or path.is_complete:
+                return path.displacements[: contact + 1], path.friction_changes[: contact + 1]
             self._continue(path, separation, side)
 
     def _continue(self, path: _Path, separation: int, side: int) -> None:
@@ -262,11 +284,15 @@ class _RelativeMotion:
         first = separation + len(path.displacements)
         last = min(first + max(len(path.displacements), _MIN_STEPS), self.sample_count)
         for k in range(first, last):
+            previous_velocity = velocity
             damped_velocity = (velocity + self._velocity_change[k]) / self._damping_divisor[k]
             # Dry friction slows the link down, at most to rest.
             link_velocity = self._motor_velocity[k] - damped_velocity
             max_change = self._max_friction_velocity_change[k]
             velocity = damped_velocity + min(max(link_velocity, -max_change), max_change)
+            # No torque is transmitted, so what does not accelerate the link is friction.
+            accelerating_torque = self._inertia_per_step[k] * (velocity - previous_velocity)
+            path.friction_changes.append(accelerating_torque - self._transmitted[k])
             displacement += velocity * self.dt
             depth = max(depth, -side * displacement)
             path.displacements.append(displacement)
@@ -286,6 +312,8 @@ class _Path:
     ----------
     displacements
         Displacement at each sample [rad or m].
+    friction_changes
+        Friction of the link at its own velocity less that at the motor's, at each sample [N·m or N].
     largest_depths
         Largest displacement into the play so far, ascending [rad or m].
     velocity
@@ -295,6 +323,7 @@ class _Path:
     """
 
     displacements: list[float]
+    friction_changes: list[float]
     largest_depths: list[float]
     velocity: float
     is_complete: bool
@@ -314,8 +343,8 @@ def _relative_motion(motion: Motion, joint: int, motor_friction: float, lineariz
     return kept[key]
 
 
-def _simulate_play(relative: _RelativeMotion, width: float) -> Array:
-    """Position of the motor within a play, in [−width/2, width/2], shape (N,) [rad or m].
+def _simulate_play(relative: _RelativeMotion, width: float) -> _Play:
+    """Play of a width along a motion.
 
     Parameters
     ----------
@@ -325,6 +354,7 @@ def _simulate_play(relative: _RelativeMotion, width: float) -> Array:
         Width of the play [rad or m].
     """
     positions = np.empty(relative.sample_count)
+    friction_changes = np.zeros(relative.sample_count)
     begins_driven_down = relative.driven_down[:1] == [0]
     side = -1 if begins_driven_down else 1  # of the play, at which the teeth are in contact
     k = 0
@@ -337,9 +367,10 @@ def _simulate_play(relative: _RelativeMotion, width: float) -> Array:
         positions[k:separation] = contact
         if separation == relative.sample_count:
             break
-        path = relative.displacement_until_contact(separation, side, width)
-        k = separation + len(path)
-        positions[separation:k] = path
+        displacements, changes = relative.path_until_contact(separation, side, width)
+        k = separation + len(displacements)
+        positions[separation:k] = displacements
         positions[separation:k] += contact
-        side = 1 if contact + path[-1] > 0 else -1
-    return np.clip(positions, -width / 2, width / 2)
+        friction_changes[separation:k] = changes
+        side = 1 if contact + displacements[-1] > 0 else -1
+    return _Play(np.clip(positions, -width / 2, width / 2), friction_changes)
