@@ -113,8 +113,9 @@ def test_a_wide_play_of_a_light_link_is_found_although_friction_slows_the_link_d
     assert step["parameters"]["width"] == pytest.approx(true["width"], rel=0.15)
     assert true["motor_friction"] == 0
     assert step["parameters"].get("motor_friction", 0) < 0.2
-    before, after = (report[key]["validation"]["overall"] for key in ("before", "after"))
-    assert after < 0.8 * before
+    before, after = (report[key] for key in ("before", "after"))
+    assert after["simulation"]["overall"] < 0.2 * before["simulation"]["overall"]
+    assert after["validation"]["overall"] < before["validation"]["overall"]  # by how much is a matter of milliseconds
 
 
 def test_what_is_written_is_the_model_that_was_found(stribeck: CaseFiles, folder: Path) -> None:
