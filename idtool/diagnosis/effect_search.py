@@ -474,10 +474,9 @@ class EffectSearch:
         """Add another effect in place of some; False if none is better, and the caller has to restore the model."""
         before = self.current
         self.model.drop(replaced)
-        if self.model.try_refit():
-            return False
-        without = self.current
         try:
+            self.model.refit_coefficients()  # the screening has the nonlinear parameters free, to first order
+            without = self.current
             other = linearize_fit(before.experiment, self.progress, without)
             selection = find_best_effect(
                 without,

@@ -137,10 +137,20 @@ class ExtendedModel:
         """Leave out added effects and refit; where that fails, the others keep their nonlinear parameters."""
         self.drop(effects)
         if self.try_refit():
-            entries = [*self.given, *(effect.entry for effect in self.added)]
-            experiment = with_effects(self.current.experiment, entries, self.current.theta)
             with suppress(*FAILURES):
-                self.current = linearize_fit(experiment, self._progress, reversal_margin=self.current.reversal_margin)
+                self.refit_coefficients()
+
+    def refit_coefficients(self) -> None:
+        """Fit the coefficients alone; the nonlinear parameters of all effects stay as they are.
+
+        Raises
+        ------
+        IdtoolError, LinAlgError
+            If the model cannot be fitted; see `FAILURES`.
+        """
+        entries = [*self.given, *(effect.entry for effect in self.added)]
+        experiment = with_effects(self.current.experiment, entries, self.current.theta)
+        self.current = linearize_fit(experiment, self._progress, reversal_margin=self.current.reversal_margin)
 
     def entries(self, effects: Sequence[AddedEffect]) -> list[EffectEntry]:
         """The configuration's effects and some of those added, with errors of nonlinear parameters."""
