@@ -48,7 +48,7 @@ def fit_and_judge(
     initial: LinearizedFit,
     summary: DataSummary,
     movable: Sequence[int],
-    gain_to_exceed: float,
+    replaced_gain: float,
     progress: Progress,
 ) -> tuple[FittedCandidate, str]:
     """Fit of a candidate with the whole model, and the reason why it is rejected.
@@ -67,7 +67,7 @@ def fit_and_judge(
         The robot and its data.
     movable
         Indices of the model's effects whose nonlinear parameters may be moved.
-    gain_to_exceed
+    replaced_gain
         Gain of the effects that it is to replace; 0: none.
     progress
         Callback for the stage and its progress, from 0 to 1.
@@ -84,7 +84,7 @@ def fit_and_judge(
     reason = rejection_reason(fitted, base, initial, summary, progress)
     imitators = possible_imitators(base, candidate.probe.joint, movable)
     is_satisfactory = not reason and fitted.gain > _MIN_SHARE_OF_SCREENED_GAIN * candidate.gain
-    may_replace = max(fitted.gain, candidate.gain) > MIN_REPLACING_GAIN_RATIO * gain_to_exceed
+    may_replace = max(fitted.gain, candidate.gain) > MIN_REPLACING_GAIN_RATIO * replaced_gain
     if is_satisfactory or not imitators or not may_replace:
         return fitted, reason
     try:
@@ -117,18 +117,18 @@ def fit_candidate(
         raise ConfigError("effects", "its parameters are out of range")
     entries = (*base.experiment.config.effects, candidate.entry)
     newest = len(entries) - 1
-    moving = [*imitators, newest]
+    optimized = [*imitators, newest]
     max_steps = 1  # the screening has found the candidate's own values already
     if imitators:
         max_steps = _MAX_GAUSS_NEWTON_STEPS
-    trial = fit_trial(base, entries, moving, progress, max_steps=max_steps)
+    trial = fit_trial(base, entries, optimized, progress, max_steps=max_steps)
     if not imitators and _undetermined_parameter(trial, newest):  # it may be determined closer to the optimum
-        trial = fit_trial(base, trial.entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
+        trial = fit_trial(base, trial.entries, optimized, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
     if _undetermined_parameter(trial, newest):  # it may be determined if there is nothing else to determine
         simpler = without_insignificant_parameters(trial.entries[-1], _errors_of_effect(trial, newest))
         if simpler is not trial.entries[-1]:
             simpler_entries = (*trial.entries[:-1], simpler)
-            trial = fit_trial(base, simpler_entries, moving, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
+            trial = fit_trial(base, simpler_entries, optimized, progress, max_steps=_MAX_GAUSS_NEWTON_STEPS)
     trial = on_rows_of(base, trial, progress)
     return FittedCandidate(candidate, trial, block_gains(base, trial.linearized))
 
@@ -185,7 +185,7 @@ def _errors_of_effect(trial: TrialFit, index: int) -> dict[str, float]:
     index
         Index of the effect in its entries.
     """
-    return {name: error for (i, name), error in trial.errors.items() if i == index}
+    return {name: error for (i, name), error in trial.standard_errors.items() if i == index}
 
 
 def possible_imitators(base: LinearizedFit, joint: str | None, movable: Sequence[int]) -> list[int]:
@@ -377,7 +377,7 @@ def _undetermined_parameter(trial: TrialFit, index: int) -> str:
     for parameter in effect_types()[entry.effect].nonlinear_parameters:
         key = (index, parameter.name)
         value = parameter_value(entry, parameter.name)
-        if key in trial.errors and _must_be_determined(parameter) and isinstance(value, float):
+        if key in trial.standard_errors and _must_be_determined(parameter) and isinstance(value, float):
             low, high = trial.ranges.get(key, (-np.inf, np.inf))  # only positive parameters have one
             if not low * _RANGE_EDGE_RATIO < value < high / _RANGE_EDGE_RATIO:
                 return parameter.name

@@ -118,7 +118,7 @@ def _size(trial: TrialFit, index: int, part: str) -> PartEstimate | None:
     for name, (value, error) in _linear_parameters(trial.linearized, entry).items():
         if error is not None and 0 < error < np.inf:
             return PartEstimate(part, name, value, error)
-    for (moved, name), error in trial.errors.items():
+    for (moved, name), error in trial.standard_errors.items():
         number = parameter_value(entry, name)
         if moved == index and isinstance(number, float) and 0 < error < np.inf:
             return PartEstimate(part, name, number, error)

@@ -12,7 +12,7 @@ from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.estimation.fit import fit
 
 MAX_ERROR_RATIO = 1.0005  # of the errors with an effect and without it, over all joints
-_MIN_EXCUSE = 0.1  # decrease of the logarithm of a joint's squared error where the direction of friction is known
+_MIN_LOG_DECREASE = 0.1  # of the squared error where the direction of friction is known, that excuses an increase
 
 Errors = Mapping[str, float]  # rms torque errors by joint, and ``overall`` [N·m or N]
 
@@ -135,7 +135,7 @@ def _helps_where_friction_is_known(search: EffectSearch, effect: AddedEffect) ->
     """True if an effect lowers the held-out error but for samples at rest and near reversals."""
     without = _fit_with(search, _others(search, effect))
     with_all = _fit_with(search, search.reported)
-    return held_out_log_change(without, with_all, with_all.experiment.equation) < -_MIN_EXCUSE
+    return held_out_log_change(without, with_all, with_all.experiment.equation) < -_MIN_LOG_DECREASE
 
 
 def _others(search: EffectSearch, effect: AddedEffect) -> list[AddedEffect]:

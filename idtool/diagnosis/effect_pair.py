@@ -207,8 +207,8 @@ def _fit_pair(
     entries = list(base.experiment.config.effects)
     entries += [effect.entry for effect in pair.effects if effect.entry is not None]
     newest = [len(entries) - 2, len(entries) - 1]
-    moving = [*possible_imitators(base, joint, movable), *newest]
-    trial = fit_trial(base, entries, moving, progress, _MAX_GAUSS_NEWTON_STEPS)
+    optimized = [*possible_imitators(base, joint, movable), *newest]
+    trial = fit_trial(base, entries, optimized, progress, _MAX_GAUSS_NEWTON_STEPS)
     trial = on_rows_of(base, trial, progress)  # a backlash may have been fitted anew
     gains = block_gains(base, trial.linearized)
     both = FittedCandidate(second, trial, gains)

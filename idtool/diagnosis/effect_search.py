@@ -486,7 +486,7 @@ class EffectSearch:
                 self._unexplained_bursts,
                 movable=self.model.movable,
                 explained_joints=_joints_as_well_explained(without, other),
-                gain_to_exceed=float(block_gains(without, other).sum()),
+                replaced_gain=float(block_gains(without, other).sum()),
             )
         except FAILURES:
             return False

@@ -239,12 +239,12 @@ class ExtendedModel:
         self.current = linearize_fit(experiment, self._progress, reversal_margin=margin)
         first = len(self._configured)
         first_added = first + len(background)
-        moving = [*range(first, first_added), *self._movable_from(first_added)]
+        optimized = [*range(first, first_added), *self._movable_from(first_added)]
         errors: Mapping[ParameterKey, float] = {}
         if background or entries:
-            trial = fit_trial(self.current, all_entries, moving, self._progress, _MAX_GAUSS_NEWTON_STEPS)
+            trial = fit_trial(self.current, all_entries, optimized, self._progress, _MAX_GAUSS_NEWTON_STEPS)
             self.current = trial.linearized
-            errors = trial.errors
+            errors = trial.standard_errors
         self._background = self.current.experiment.config.effects[first:first_added]
         return errors
 

@@ -244,13 +244,13 @@ def _with_effects_of(fitted: Fit, other: Fit, progress: Progress) -> Fit:
     """A fit with the effects of another besides its own: those with coefficients, and those that every log has."""
     present = _terms(fitted, fitted)
     entries = list(fitted.experiment.config.effects)
-    moving = []
+    optimized = []
     for key, term in _terms(other, other, present).items():
         if key in present or term.entry is None:
             continue
         background = term.effect.background_entry()
         if background is not None:
-            moving.append(len(entries))
+            optimized.append(len(entries))
             entries.append(term.entry.model_copy(update={"parameters": background.parameters}))
         elif len(term.theta):
             entries.append(term.entry)
@@ -258,19 +258,19 @@ def _with_effects_of(fitted: Fit, other: Fit, progress: Progress) -> Fit:
         return fitted
     try:
         experiment = with_effects(fitted.experiment, entries, fitted.estimate.theta)
-        return fit(_with_fitted_values(experiment, moving, progress), progress)
+        return fit(_with_fitted_values(experiment, optimized, progress), progress)
     except FAILURES:  # these data do not determine them
         return fitted
 
 
-def _with_fitted_values(experiment: Experiment, moving: Sequence[int], progress: Progress) -> Experiment:
+def _with_fitted_values(experiment: Experiment, optimized: Sequence[int], progress: Progress) -> Experiment:
     """The experiment with the nonlinear parameters of some of its effects fitted, with their standard errors."""
-    if not moving:
+    if not optimized:
         return experiment
     entries = experiment.config.effects
-    trial = fit_trial(linearize_fit(experiment, progress), entries, moving, progress, _MAX_ITERATIONS)
+    trial = fit_trial(linearize_fit(experiment, progress), entries, optimized, progress, _MAX_ITERATIONS)
     fitted = list(trial.entries)
-    for (i, name), error in trial.errors.items():
+    for (i, name), error in trial.standard_errors.items():
         value = {"value": fitted[i].values[name], "standard_error": error}
         fitted[i] = fitted[i].model_copy(update={"parameters": {**fitted[i].parameters, name: value}})
     return with_effects(experiment, fitted, trial.linearized.theta)

@@ -55,7 +55,7 @@ _MAX_REFINED = 7  # candidates that are screened again on a finer grid
 _STARTS_ON_GRID = 3  # probes about which the grid is refined, of a candidate whose residual jumps with its parameters
 _REFINEMENTS = 2  # passes, since the best value of a parameter depends on that of another
 _REFINEMENT_POINTS = 7  # values that are screened again between the neighbours of a value in the grid
-_JOINT_REFINEMENT_POINTS = 5  # of each parameter, where several are changed together
+_POINTS_IF_COMBINED = 5  # of each parameter, where several are changed together
 _MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, including those that are then rejected
 _MIN_GAIN_RATIO = 0.4  # to the gain of the best accepted candidate, for a candidate to be fitted
 _MIN_FIRST_ORDER_GAIN_RATIO = 0.2  # likewise, where a fit may explain much more than the screening
@@ -76,7 +76,7 @@ def find_best_effect(
     skipped: Container[ProbeKey] = (),
     movable: Sequence[int] = (),
     explained_joints: Collection[str] = (),
-    gain_to_exceed: float = 0.0,
+    replaced_gain: float = 0.0,
 ) -> SelectionStep:
     """One round of the search: the effect that explains most of a model's residual.
 
@@ -103,7 +103,7 @@ def find_best_effect(
         Indices of the model's effects whose nonlinear parameters may be moved.
     explained_joints
         Joints that need no effect in place of those that it is to replace.
-    gain_to_exceed
+    replaced_gain
         Gain of the effects that it is to replace. Candidates that promise much less are not fitted.
     """
     quiet = quiet_joints(base, progress)
@@ -121,9 +121,9 @@ def find_best_effect(
     reference = with_nonlinear_parameters_free(base, movable, progress)
     screening = _screen_all(reference, summary, effects, quiet.union(explained_joints), skipped, progress)
     refined = _refine(reference, screening.screened, progress)
-    candidates = [candidate for candidate in refined if _may_replace(candidate, gain_to_exceed, explained_joints)]
+    candidates = [candidate for candidate in refined if _may_replace(candidate, replaced_gain, explained_joints)]
     fits = _fit_best_candidates(
-        base, initial, candidates, summary, screening.inflation, movable, gain_to_exceed, progress
+        base, initial, candidates, summary, screening.inflation, movable, replaced_gain, progress
     )
     return select_best(base, screening, fits, movable, progress, min_share)
 
@@ -195,7 +195,7 @@ def _fit_best_candidates(
     summary: DataSummary,
     inflation: float,
     movable: Sequence[int],
-    gain_to_exceed: float,
+    replaced_gain: float,
     progress: Progress,
 ) -> FullFits:
     """Candidates fitted with the whole model, until their gain is due to chance or far below that of an accepted one.
@@ -212,8 +212,8 @@ def _fit_best_candidates(
         Number of rows that are worth one independent row.
     movable
         Indices of the model's effects whose nonlinear parameters may be moved.
-    gain_to_exceed
-        Gain of the effects that one is to replace.
+    replaced_gain
+        Gain of the effects that one of them is to replace.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
@@ -224,7 +224,7 @@ def _fit_best_candidates(
     def fit_and_judge_one(candidate: ScreenedProbe, progress: Progress) -> _Judged | Exception:
         try:
             fitted, rejection_reason = fit_and_judge(
-                candidate, base, initial, summary, movable, gain_to_exceed, progress
+                candidate, base, initial, summary, movable, replaced_gain, progress
             )
         except FAILURES as failure:
             return failure
@@ -303,14 +303,14 @@ def _min_gain_ratio(candidate: ScreenedProbe) -> float:
     return _MIN_FIRST_ORDER_GAIN_RATIO if is_first_order else _MIN_GAIN_RATIO
 
 
-def _may_replace(candidate: ScreenedProbe, gain_to_exceed: float, explained_joints: Collection[str]) -> bool:
+def _may_replace(candidate: ScreenedProbe, replaced_gain: float, explained_joints: Collection[str]) -> bool:
     """True if the fit of a candidate may explain as much as the effects that it is to replace.
 
     Parameters
     ----------
     candidate
         The candidate.
-    gain_to_exceed
+    replaced_gain
         Gain of these effects.
     explained_joints
         Joints on which the model without them is as good.
@@ -319,17 +319,22 @@ def _may_replace(candidate: ScreenedProbe, gain_to_exceed: float, explained_join
     acts_on_own_joint_alone = not issubclass(kind, FixedEffect)
     if acts_on_own_joint_alone and candidate.probe.joint in explained_joints:
         return False
-    is_linear = acts_on_own_joint_alone or issubclass(kind, LinkEffect)
-    min_ratio = MIN_REPLACING_GAIN_RATIO if is_linear else _min_gain_ratio(candidate)
-    return candidate.gain > min_ratio * gain_to_exceed
+    is_gain_reliable = acts_on_own_joint_alone or issubclass(kind, LinkEffect)
+    min_ratio = MIN_REPLACING_GAIN_RATIO if is_gain_reliable else _min_gain_ratio(candidate)
+    return candidate.gain > min_ratio * replaced_gain
 
 
 def _without_cancelled_noise(candidate: ScreenedProbe, base: LinearizedFit) -> ScreenedProbe:
-    """Candidate with the most that its gains can be without noise of the measured torque that it cancels."""
+    """Candidate without the gains that come from cancelled noise of the measured torque: the most that can remain.
+
+    An effect that uses the measured torque, such as joint elasticity, predicts a torque that contains that torque's
+    noise. In the residual, the two partly cancel, which explains nothing. All that the candidate leaves is taken as
+    noise: without the cancellation, its square would be 1 / noise gain² times as large. The increase is no gain.
+    """
     if not effect_types()[candidate.probe.effect].uses_measured_torque:
         return candidate
     noise_gain = noise_gain_with_probe(base.experiment, base.theta, base.noise, candidate.probe, candidate.c)
-    # the rest of a joint's squared residual, in units of the noise that is left with the candidate
+    # a block's gain is not known by joint: if each had all of it, the least would be left
     least_sse = np.maximum(base.sse - np.maximum(candidate.gains, 0)[:, None], 0)
     loss = least_sse @ (1 / np.square(noise_gain) - 1)
     return replace(candidate, gains=candidate.gains - loss)
@@ -471,7 +476,7 @@ def _refined_choices(probe: Probe, alike: Sequence[Probe]) -> Iterator[dict[str,
     """Finer values to try of some nonlinear parameters of a probe; ``alike`` are the probes of its coarse grid."""
     joint_parameters = effect_types()[probe.effect].joint_parameters()
     are_changed_together = _is_searched_on_grid(probe.effect)
-    points = _JOINT_REFINEMENT_POINTS if are_changed_together else _REFINEMENT_POINTS
+    points = _POINTS_IF_COMBINED if are_changed_together else _REFINEMENT_POINTS
     finer: dict[str, list[float]] = {}
     for name, value in probe.nonlinear_values.items():
         grid = sorted({other.nonlinear_values[name] for other in alike})

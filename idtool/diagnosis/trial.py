@@ -1,8 +1,8 @@
 """`TrialFit`: a model with further effects, fitted as a whole, with their nonlinear parameters at the optimum.
 
 Nonlinear parameters are found by variable projection (Golub & Pereyra 1973, in the form of Kaufman 1975): Gauss-Newton
-steps on the residual that the best linear coefficients leave. The change of the residual with a parameter is one more
-column. `screen_probes` evaluates it as any other, which gives the step and its standard error.
+steps on the residual that the best linear coefficients leave. The derivative of the residual with respect to a
+parameter is one more column. `screen_probes` evaluates it as any other, which gives the step and its standard error.
 """
 
 from __future__ import annotations
@@ -33,21 +33,22 @@ from idtool.robot.inertia import PI_SIZE
 
 ParameterKey = tuple[int, str]  # place in the configuration's effects, and name of the parameter
 Range = tuple[float, float]
-GridPlace = tuple[int, ...]  # number of shortest steps from the start, by parameter
+GridPoint = tuple[int, ...]  # number of shortest steps from the start, by parameter
 
 FAILURES = (IdtoolError, ArithmeticError, ValueError, RuntimeError)  # raised where a model cannot be fitted
 
 _RELATIVE_DIFFERENCE = 1e-3  # of a value: step of a finite difference
-_SMALL_VALUE = 0.1  # a smaller value counts as this in a finite difference, and may change its sign in a step
+_MIN_DIFFERENCE_SCALE = 0.1  # a smaller value counts as this in a finite difference
+_MAX_SIGN_CHANGE_SIZE = 0.1  # of a value that may change its sign in a Gauss-Newton step
 _MAX_RELATIVE_STEP = 0.7  # of a value, in one Gauss-Newton step
 _MIN_STEP_REFERENCE = 1e-3  # a smaller value counts as this in the limit of a step
 _STEP_LENGTHS = (1.0, 0.3)  # of a Gauss-Newton step, tried in turn
-_MIN_STEP_GAIN = 1e-4  # of the squared residual, that makes another step worthwhile
+_MIN_RELATIVE_DECREASE = 1e-4  # of the squared error in a Gauss-Newton step, that makes another one worthwhile
 _RANGE_MARGIN = 2.0  # ratio by which a range exceeds the values that the search tries, at both ends
 _GRID_RATIO = 1.05  # of values one shortest step apart in a grid search
 _GRID_SHARE_STEP = 0.04  # shortest step of a value between 0 and a maximum, as a share of that
-_GRID_STEPS = (2, 1)  # lengths of the steps in turn, in units of the shortest
-_MAX_GRID_MOVES = 8  # of each length
+_PATTERN_STRIDES = (2, 1)  # of the pattern search in turn, in shortest steps
+_MAX_GRID_MOVES = 8  # of each stride
 _NEAR_BEST_RATIO = 0.9  # to the largest gain, from which a value is as good as the best
 _UNBOUNDED: Range = (-np.inf, np.inf)
 _FIXED_INERTIA = "--inertia fixed"
@@ -70,14 +71,14 @@ class TrialFit:
     ----------
     linearized
         The fit.
-    errors
-        Standard errors of the nonlinear parameters that were moved.
+    standard_errors
+        Standard errors of the nonlinear parameters that were optimized.
     ranges
         Ranges within which they were kept; parameters without one may have any value.
     """
 
     linearized: LinearizedFit
-    errors: Mapping[ParameterKey, float]
+    standard_errors: Mapping[ParameterKey, float]
     ranges: Mapping[ParameterKey, Range]
 
     @property
@@ -94,10 +95,15 @@ def with_effects(experiment: Experiment, entries: Sequence[EffectEntry], theta: 
     experiment
         Model and data.
     entries
-        All effects of the configuration.
+        The effects, in place of the configuration's own.
     theta
         The experiment's coefficients, shape (p,), for effects that depend on the rest of the model; None: those of its
         operating point.
+
+    Raises
+    ------
+    ConfigError
+        If an effect cannot be in the model, as with a parameter that is out of range.
     """
     operating_point = experiment.equation.operating_point
     if theta is not None:
@@ -140,21 +146,26 @@ def has_fixed_inertia(experiment: Experiment) -> bool:
 
 
 def fit_trial(
-    before: LinearizedFit, entries: Sequence[EffectEntry], moving: Sequence[int], progress: Progress, max_steps: int = 1
+    base: LinearizedFit,
+    entries: Sequence[EffectEntry],
+    optimized: Sequence[int],
+    progress: Progress,
+    max_steps: int = 1,
 ) -> TrialFit:
     """Fit a model with other effects, on the rows and in the units of another fit.
 
     Parameters on which the columns depend smoothly take Gauss-Newton steps, all together. Before that, those with which
-    the columns jump are searched for on a grid, effect by effect.
+    the columns jump are searched for on a grid, effect by effect. After the grid search of an effect that is undefined
+    where it acts, such as a play, the fit has rows of its own: call `on_rows_of` to compare it.
 
     Parameters
     ----------
-    before
+    base
         The fit that the new one is compared with.
     entries
         All effects of the model.
-    moving
-        Indices of the effects whose nonlinear parameters are moved; the others keep their values.
+    optimized
+        Indices of the effects whose nonlinear parameters are optimized; the others keep their values.
     progress
         Callback for the stage and its progress, from 0 to 1.
     max_steps
@@ -165,31 +176,28 @@ def fit_trial(
     IdtoolError, LinAlgError
         If it cannot be fitted; see `FAILURES`.
     """
-    current = linearize_fit(with_effects(before.experiment, entries, before.theta), progress, before)
-    errors: dict[ParameterKey, float] = {}
-    ranges = _parameter_ranges(before, entries, moving)
-    for i in moving:
+    current = linearize_fit(with_effects(base.experiment, entries, base.theta), progress, base)
+    standard_errors: dict[ParameterKey, float] = {}
+    ranges = _parameter_ranges(base, entries, optimized)
+    for i in optimized:
         kind = effect_types()[entries[i].effect]
         if issubclass(kind, JointEffect) and kind.grid_parameters():
             current, grid_errors = _grid_search(current, i, kind, progress)
-            errors |= grid_errors
+            standard_errors |= grid_errors
 
     for _ in range(max_steps):
-        if len(moving) > 1:
-            current = _step_of_coefficients(current, moving, ranges, progress)
-        keys = _gradient_keys(current.experiment.config.effects, moving)
+        if len(optimized) > 1:
+            current = _step_of_linear_effects(current, optimized, ranges, progress)
+        keys = _gradient_keys(current.experiment.config.effects, optimized)
         if not keys:
             break
-        better, step_errors = _gauss_newton_step(current, keys, ranges, progress)
-        errors |= step_errors
-        if better is None:
+        initial_error = current.total_cv_squared_error
+        current, step_errors = _gauss_newton_step(current, keys, ranges, progress)
+        standard_errors |= step_errors
+        decrease = initial_error - current.total_cv_squared_error
+        if not decrease > _MIN_RELATIVE_DECREASE * initial_error:
             break
-        gain = current.total_cv_squared_error - better.total_cv_squared_error
-        has_converged = not gain > _MIN_STEP_GAIN * current.total_cv_squared_error
-        current = better
-        if has_converged:
-            break
-    return TrialFit(current, errors, ranges)
+    return TrialFit(current, standard_errors, ranges)
 
 
 def on_rows_of(base: LinearizedFit, trial: TrialFit, progress: Progress) -> TrialFit:
@@ -213,15 +221,15 @@ def on_rows_of(base: LinearizedFit, trial: TrialFit, progress: Progress) -> Tria
 
 
 def _parameter_ranges(
-    before: LinearizedFit, entries: Sequence[EffectEntry], moving: Sequence[int]
+    base: LinearizedFit, entries: Sequence[EffectEntry], optimized: Sequence[int]
 ) -> dict[ParameterKey, Range]:
     """Ranges of the nonlinear parameters that have one.
 
     That of a positive parameter is about all values that the search tries, that of an optional one begins at 0.
     """
-    summary = summarize_data(before)
+    summary = summarize_data(base)
     ranges: dict[ParameterKey, Range] = {}
-    for i in moving:
+    for i in optimized:
         kind = effect_types()[entries[i].effect]
         joint = entries[i].joint
         if not issubclass(kind, JointEffect) or joint is None:
@@ -243,29 +251,31 @@ def with_nonlinear_parameters_free(base: LinearizedFit, movable: Sequence[int], 
 
     They were found without the candidates, and may imitate them.
     """
-    parameters = _movable_parameters(base, movable)
-    if parameters is None:
+    probe = _movable_parameter_probe(base, movable)
+    if probe is None:
         return base
     try:
-        return with_free_parameters(base, parameters, progress)
+        return with_free_parameters(base, probe, progress)
     except FAILURES:
         return base
 
 
-def _movable_parameters(current: LinearizedFit, moving: Sequence[int]) -> Probe | None:
-    """Probe whose columns are the derivatives of the torque by all that some effects' fit moves; None: nothing.
+def _movable_parameter_probe(current: LinearizedFit, optimized: Sequence[int]) -> Probe | None:
+    """Probe of the parameters of some effects that a fit optimizes; None if there are none.
+
+    Its columns are the derivatives of the torque with respect to them.
 
     Parameters
     ----------
     current
         The fit.
-    moving
+    optimized
         Indices of the effects.
     """
     entries = current.experiment.config.effects
     probes = []
     others = []
-    for i in moving:
+    for i in optimized:
         linear = effect_types()[entries[i].effect].coefficients_of(entries[i], current.experiment.model)
         if linear is None:
             others.append(i)
@@ -277,10 +287,10 @@ def _movable_parameters(current: LinearizedFit, moving: Sequence[int]) -> Probe 
     return reduce(joined_probe, probes) if probes else None
 
 
-def _gradient_keys(entries: Sequence[EffectEntry], moving: Sequence[int]) -> list[ParameterKey]:
+def _gradient_keys(entries: Sequence[EffectEntry], optimized: Sequence[int]) -> list[ParameterKey]:
     """Numeric parameters that are moved along a gradient."""
     keys = []
-    for i in moving:
+    for i in optimized:
         for name in effect_types()[entries[i].effect].gradient_parameters():
             if isinstance(parameter_value(entries[i], name), float):
                 keys.append((i, name))
@@ -314,64 +324,83 @@ def _with_value(entry: EffectEntry, name: str, value: float) -> EffectEntry:
     return entry.model_copy(update={"parameters": {**entry.parameters, name: changed}})
 
 
-def _step_of_coefficients(
-    current: LinearizedFit, moving: Sequence[int], ranges: Mapping[ParameterKey, Range], progress: Progress
+def _step_of_linear_effects(
+    current: LinearizedFit, optimized: Sequence[int], ranges: Mapping[ParameterKey, Range], progress: Progress
 ) -> LinearizedFit:
-    """Fit after a step of effects whose torque is linear in coefficients, together with the other effects' parameters.
+    """Fit after a step of each effect whose torque is linear in coefficients; the same fit if no step helps.
 
-    It moves what no gradient does, such as the inertia of a payload. If no step helps, the fit is the same.
+    It moves what no gradient does, such as the inertia of a payload.
 
     Parameters
     ----------
     current
         The fit.
-    moving
-        Indices of the effects whose nonlinear parameters are moved.
+    optimized
+        Indices of the effects whose nonlinear parameters are optimized.
     ranges
         Ranges of the nonlinear parameters.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
-    for i in moving:
-        entries = current.experiment.config.effects
-        linear = effect_types()[entries[i].effect].coefficients_of(entries[i], current.experiment.model)
-        if linear is None:
+    for i in optimized:
+        others = [j for j in optimized if j != i]
+        current = _step_of_linear_effect(current, i, others, ranges, progress)
+    return current
+
+
+def _step_of_linear_effect(
+    current: LinearizedFit, i: int, others: Sequence[int], ranges: Mapping[ParameterKey, Range], progress: Progress
+) -> LinearizedFit:
+    """Fit after a step of an effect's coefficients and the other effects' parameters; the same if no step helps.
+
+    Parameters
+    ----------
+    current, ranges, progress
+        As for `_step_of_linear_effects`.
+    i
+        Index of the effect. If its torque is not linear in coefficients, there is no step.
+    others
+        Indices of the other effects.
+    """
+    entries = current.experiment.config.effects
+    linear = effect_types()[entries[i].effect].coefficients_of(entries[i], current.experiment.model)
+    if linear is None:
+        return current
+    own_probe, coefficients = linear
+    keys = _gradient_keys(entries, others)
+    probe = joined_probe(own_probe, _parameter_probe(current, keys, ranges)) if keys else own_probe
+    (screened,) = screen_probes(current, [probe], progress, "optimizing nonlinear parameters")
+    count = own_probe.coefficient_count
+    information = screened.marginal_information(slice(0, count))
+    coefficient_step = screened.c[:count]
+    parameter_step = screened.c[count:]
+
+    for length in _STEP_LENGTHS:
+        own_entry = own_probe.to_entry(coefficients + length * coefficient_step, information)
+        if own_entry is None:
             continue
-        probe, coefficients = linear
-        others = [j for j in moving if j != i]
-        keys = _gradient_keys(entries, others)
-        joint_probe = joined_probe(probe, _parameter_probe(current, keys, ranges)) if keys else probe
-        (screened,) = screen_probes(current, [joint_probe], progress, "optimizing nonlinear parameters")
-        count = probe.coefficient_count
-        information = screened.marginal_information(slice(0, count))
-        for length in _STEP_LENGTHS:
-            step = length * screened.c
-            own_entry = probe.to_entry(coefficients + step[:count], information)
-            if own_entry is None:
-                continue
-            changed = _moved_entries(current, keys, step[count:], ranges)
-            changed[i] = own_entry
-            better = _better_fit(current, changed, progress)
-            if better is not None:
-                current = better
-                break
+        changed = _moved_entries(current, keys, length * parameter_step, ranges)
+        changed[i] = own_entry
+        better = _better_fit(current, changed, progress)
+        if better is not None:
+            return better
     return current
 
 
 def _gauss_newton_step(
     current: LinearizedFit, keys: Sequence[ParameterKey], ranges: Mapping[ParameterKey, Range], progress: Progress
-) -> tuple[LinearizedFit | None, dict[ParameterKey, float]]:
-    """Fit after a step of all parameters together, and their standard errors before it; no fit if no step helps."""
+) -> tuple[LinearizedFit, dict[ParameterKey, float]]:
+    """Fit after a step of all parameters together, or the same if none helps; and standard errors before the step."""
     probe = _parameter_probe(current, keys, ranges)
     (screened,) = screen_probes(current, [probe], progress, "optimizing nonlinear parameters")
-    standard_errors = np.sqrt(np.diag(screened.covariance))
-    errors = {key: float(x) for key, x in zip(keys, standard_errors, strict=True)}
+    errors = np.sqrt(np.diag(screened.covariance))
+    standard_errors = {key: float(error) for key, error in zip(keys, errors, strict=True)}
 
     for length in _STEP_LENGTHS:
         better = _better_fit(current, _moved_entries(current, keys, length * screened.c, ranges), progress)
         if better is not None:
-            return better, errors
-    return None, errors
+            return better, standard_errors
+    return current, standard_errors
 
 
 def _moved_entries(
@@ -405,7 +434,7 @@ def _moved_value(entry: EffectEntry, name: str, step: float, bounds: Range) -> f
     """
     value = _numeric_value(entry, name)
     must_stay_positive = value > 0 and _is_positive(entry.effect, name)
-    may_change_sign = abs(value) <= _SMALL_VALUE and not must_stay_positive
+    may_change_sign = abs(value) <= _MAX_SIGN_CHANGE_SIZE and not must_stay_positive
     if not may_change_sign:
         longest = _MAX_RELATIVE_STEP * max(abs(value), _MIN_STEP_REFERENCE)
         step = float(np.clip(step, -longest, longest))
@@ -438,12 +467,12 @@ def _grid_search(
     start = _nonlinear_values(entries[i], kind)
     names = [name for name in kind.grid_parameters() if name in entries[i].parameters]  # what was left out stays so
 
-    def values_at(place: GridPlace) -> dict[str, float]:
-        moved = {name: _grid_value(kind, name, start[name], steps) for name, steps in zip(names, place, strict=True)}
+    def values_at(point: GridPoint) -> dict[str, float]:
+        moved = {name: _grid_value(kind, name, start[name], steps) for name, steps in zip(names, point, strict=True)}
         return {**start, **moved}
 
-    def gains_at(places: Sequence[GridPlace]) -> list[float]:
-        probes = [kind.probe(summary, joint, values_at(place)) for place in places]
+    def gains_at(points: Sequence[GridPoint]) -> list[float]:
+        probes = [kind.probe(summary, joint, values_at(point)) for point in points]
         screened = screen_probes(without, probes, progress, "trying parameter values")
         return [_gain_with_unit_coefficient(one) for one in screened]
 
@@ -452,43 +481,43 @@ def _grid_search(
     one_step_on = values_at(tuple(steps + 1 for steps in best))
     one_step_back = values_at(tuple(steps - 1 for steps in best))
     min_gain = gains[best] - (1 - _NEAR_BEST_RATIO) * abs(gains[best])
-    near_best = [values_at(place) for place, gain in gains.items() if gain >= min_gain]
-    errors: dict[ParameterKey, float] = {}
+    near_best = [values_at(point) for point, gain in gains.items() if gain >= min_gain]
+    standard_errors: dict[ParameterKey, float] = {}
     for name in names:
         spread = float(np.ptp([near[name] for near in near_best]))
         shortest_step = max(one_step_on[name] - values[name], values[name] - one_step_back[name])
-        errors[i, name] = max(spread, shortest_step) / 2
+        standard_errors[i, name] = max(spread, shortest_step) / 2
         entries[i] = _with_value(entries[i], name, values[name])
     changed = with_effects(current.experiment, entries, current.theta)
-    return linearize_fit(changed, progress, current, own_rows=kind.is_undefined_where_it_acts), errors
+    return linearize_fit(changed, progress, current, own_rows=kind.is_undefined_where_it_acts), standard_errors
 
 
 def pattern_search(
-    evaluate: Callable[[Sequence[GridPlace]], Sequence[float]], dimensions: int
-) -> tuple[GridPlace, dict[GridPlace, float]]:
-    """Place on a grid, near its origin, with the largest value, by a pattern search (Hooke & Jeeves 1961).
+    evaluate: Callable[[Sequence[GridPoint]], Sequence[float]], dimensions: int
+) -> tuple[GridPoint, dict[GridPoint, float]]:
+    """Point of a grid, near its origin, with the largest value, by a pattern search (Hooke & Jeeves 1961).
 
     All coordinates change together, as the best one may depend on the others.
 
     Parameters
     ----------
     evaluate
-        Values at some places.
+        Values at some points.
     dimensions
         Number of coordinates.
 
     Returns
     -------
-    The place, and the values at all places that were evaluated.
+    The point, and the values at all points that were evaluated.
     """
-    values: dict[GridPlace, float] = {}
-    best: GridPlace = (0,) * dimensions
-    for step in _GRID_STEPS:
+    values: dict[GridPoint, float] = {}
+    best: GridPoint = (0,) * dimensions
+    for stride in _PATTERN_STRIDES:
         for _ in range(_MAX_GRID_MOVES):
-            neighbours = list(product(*((n - step, n, n + step) for n in best)))
-            new = [place for place in neighbours if place not in values]
+            neighbours = list(product(*((n - stride, n, n + stride) for n in best)))
+            new = [point for point in neighbours if point not in values]
             values |= dict(zip(new, evaluate(new), strict=True))
-            best_neighbour = max(neighbours, key=lambda place: values[place])
+            best_neighbour = max(neighbours, key=lambda point: values[point])
             if values[best_neighbour] <= values[best]:
                 break
             best = best_neighbour
@@ -528,7 +557,7 @@ def _is_positive(effect: str, name: str) -> bool:
 def _parameter_probe(
     current: LinearizedFit, keys: Sequence[ParameterKey], ranges: Mapping[ParameterKey, Range]
 ) -> Probe:
-    """Probe whose columns are the derivatives of the predicted torque by nonlinear parameters.
+    """Probe whose columns are the derivatives of the predicted torque with respect to nonlinear parameters.
 
     They are finite differences, backward where a forward one would leave the parameter's range.
     """
@@ -538,7 +567,7 @@ def _parameter_probe(
         i, name = key
         entries = list(current.experiment.config.effects)
         value = _numeric_value(entries[i], name)
-        difference = _RELATIVE_DIFFERENCE * max(abs(value), _SMALL_VALUE)
+        difference = _RELATIVE_DIFFERENCE * max(abs(value), _MIN_DIFFERENCE_SCALE)
         _, highest = ranges.get(key, _UNBOUNDED)
         if value + difference >= highest:
             difference = -difference
@@ -554,5 +583,11 @@ def _parameter_probe(
             derivatives.append((model.residual - changed.residual) / difference)
         return {j: np.stack([derivative[j] for derivative in derivatives]) for j in range(len(motion.q))}
 
-    # a probe of no effect, so that it has no configuration entry
-    return Probe("", None, None, columns, len(keys), lambda c, information: None)
+    return Probe(
+        effect="",  # of no effect, so that it has no configuration entry
+        joint=None,
+        link=None,
+        columns=columns,
+        coefficient_count=len(keys),
+        to_entry=lambda c, information: None,
+    )

@@ -94,9 +94,9 @@ def test_an_effect_that_the_motion_does_not_tell_is_skipped(arm: Experiment, mon
 def test_an_effect_that_fails_once_it_was_chosen_is_skipped(arm: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
     inner = extended_model.fit_trial
 
-    def fit_trial(before: Any, entries: Any, *others: Any) -> Any:
+    def fit_trial(base: Any, entries: Any, *others: Any) -> Any:
         refuse_springs(entries)
-        return inner(before, entries, *others)
+        return inner(base, entries, *others)
 
     monkeypatch.setattr(extended_model, "fit_trial", fit_trial)
     without_spring(diagnosed(arm), REASON)

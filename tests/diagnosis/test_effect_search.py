@@ -269,7 +269,7 @@ def test_what_cannot_explain_more_than_what_it_would_replace_is_not_fitted(
     for factor, expected in ((1.0, ["parallel_spring", "end_stop"]), (2.0, [])):
         fitted.clear()
         selection_round.find_best_effect(
-            search.current, search.initial, silent, effects, gain_to_exceed=factor * selection.winner.gain
+            search.current, search.initial, silent, effects, replaced_gain=factor * selection.winner.gain
         )
         assert fitted == expected
 
@@ -311,12 +311,12 @@ def test_a_play_is_fitted_anew_with_what_changes_the_torque_on_its_teeth(
     play = EffectEntry(effect="backlash", joint="j1", parameters={"width": 0.0005})
     experiment = experiment_of(tmp_path, spring, rows=slice(8000), effects=[play])
     base = linearize_fit(experiment, silent)
-    moved = []
+    tried = []
     inner = candidate_fit.fit_trial
 
-    def fit_trial(before: LinearizedFit, entries: Any, moving: Sequence[int], *others: Any, **options: Any) -> Any:
-        moved.append(list(moving))
-        return inner(before, entries, moving, *others, **options)
+    def fit_trial(base: LinearizedFit, entries: Any, optimized: Sequence[int], *others: Any, **options: Any) -> Any:
+        tried.append(list(optimized))
+        return inner(base, entries, optimized, *others, **options)
 
     monkeypatch.setattr(candidate_fit, "fit_trial", fit_trial)
     monkeypatch.setattr(candidate_fit, "rejection_reason", lambda *arguments, **options: "as this test wants it")
@@ -324,7 +324,7 @@ def test_a_play_is_fitted_anew_with_what_changes_the_torque_on_its_teeth(
     monkeypatch.setattr(selection_round, "process_count", lambda: 1)
     selection = selection_round.find_best_effect(base, base, silent, ("parallel_spring",), movable=(0,))
     assert {candidate.reason for candidate in selection.rejected} >= {"as this test wants it"}
-    assert moved == [[1], [0, 1]]
+    assert tried == [[1], [0, 1]]
 
 
 def test_what_is_optional_gives_way_to_what_the_data_then_determine(

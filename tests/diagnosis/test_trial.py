@@ -82,7 +82,7 @@ KEYS = ((0, "velocity"), (1, "position"))
 
 def errors(done: TrialFit) -> Array:
     """Their standard errors."""
-    return np.array([done.errors[key] for key in KEYS])
+    return np.array([done.standard_errors[key] for key in KEYS])
 
 
 def named(base: LinearizedFit) -> dict[str, float]:
@@ -140,28 +140,28 @@ def test_a_value_that_is_right_stays_and_what_is_not_to_move_does_not(tmp_path: 
     done = fit_trial(base, entries, [0], silent, 3)
     assert values(done)[0] == pytest.approx(VELOCITY, rel=0.03)
     assert values(done)[1] == STOP
-    assert set(done.errors) == {KEYS[0]}
+    assert set(done.standard_errors) == {KEYS[0]}
     fixed = fit_trial(base, entries, [0], silent, 0)
-    assert fixed.errors == {}
+    assert fixed.standard_errors == {}
     assert fixed.linearized.total_cv_squared_error > done.linearized.total_cv_squared_error
 
 
 def test_a_pattern_search_follows_a_ridge() -> None:
-    """To its top at (7, -7), although a change of one coordinate alone leads down; no place is evaluated twice."""
+    """To its top at (7, -7), although a change of one coordinate alone leads down; no point is evaluated twice."""
     evaluated: list[tuple[int, ...]] = []
 
-    def height(place: Sequence[int]) -> float:
-        to_top = place[0] - place[1] - 14
-        off_ridge = place[0] + place[1]
+    def height(point: Sequence[int]) -> float:
+        to_top = point[0] - point[1] - 14
+        off_ridge = point[0] + point[1]
         return -float(to_top**2 + 100 * off_ridge**2)
 
-    def evaluate(places: Sequence[tuple[int, ...]]) -> list[float]:
-        evaluated.extend(places)
-        return [height(place) for place in places]
+    def evaluate(points: Sequence[tuple[int, ...]]) -> list[float]:
+        evaluated.extend(points)
+        return [height(point) for point in points]
 
     best, values = pattern_search(evaluate, 2)
     assert best == (7, -7)
-    assert values == {place: height(place) for place in evaluated}
+    assert values == {point: height(point) for point in evaluated}
     assert len(evaluated) == len(set(evaluated))
 
 
@@ -236,7 +236,7 @@ def test_a_trial_of_a_copy_is_as_if_fitted_here(tmp_path: Path, log: Log) -> Non
         assert fitted.row_experiment not in (fitted.experiment, base.row_experiment)
     np.testing.assert_array_equal(ours.linearized.gram, theirs.linearized.gram)
     assert ours.entries == theirs.entries
-    assert ours.errors == theirs.errors
+    assert ours.standard_errors == theirs.standard_errors
     kept = trial_from_bytes(trial_to_bytes(found(base)), base)
     assert kept.linearized.row_experiment is base.row_experiment
 

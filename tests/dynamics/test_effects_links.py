@@ -153,7 +153,7 @@ def test_a_trial_finds_gravity_from_any_direction_and_keeps_its_size(tmp_path: P
     (found,) = trial.entries
     np.testing.assert_allclose(found.values["gravity"], size / np.linalg.norm(TILTED) * np.array(TILTED), atol=0.02)
     assert np.linalg.norm(found.values["gravity"]) == pytest.approx(size)
-    assert {name for _, name in trial.errors} == {"gravity.0", "gravity.1", "gravity.2"}
+    assert {name for _, name in trial.standard_errors} == {"gravity.0", "gravity.1", "gravity.2"}
 
 
 def test_a_load_on_a_tilted_base(tmp_path: Path) -> None:
