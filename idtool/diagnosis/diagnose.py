@@ -330,10 +330,16 @@ def _parameters(effect: AddedEffect, last: Fit) -> tuple[dict[str, object], dict
 def _nonlinear_error(effect: AddedEffect, name: str, value: object) -> object:
     """Standard error of a nonlinear parameter, or of each element of a list; None if it is not known."""
     if isinstance(value, list):
-        errors = [effect.errors.get(f"{name}.{k}") for k in range(len(value))]
+        errors = [_finite_error(effect, f"{name}.{k}") for k in range(len(value))]
         if any(error is not None for error in errors):
             return errors
-    return effect.errors.get(name)
+    return _finite_error(effect, name)
+
+
+def _finite_error(effect: AddedEffect, name: str) -> float | None:
+    """Standard error of a nonlinear number; None if it is not known, or the data do not determine the number."""
+    error = effect.errors.get(name, np.inf)
+    return error if np.isfinite(error) else None
 
 
 def _unknown_steps(

@@ -271,6 +271,8 @@ def _with_fitted_values(experiment: Experiment, optimized: Sequence[int], progre
     trial = fit_trial(linearize_fit(experiment, progress), entries, optimized, progress, _MAX_ITERATIONS)
     fitted = list(trial.entries)
     for (i, name), error in trial.standard_errors.items():
+        if not np.isfinite(error):
+            continue
         value = {"value": fitted[i].values[name], "standard_error": error}
         fitted[i] = fitted[i].model_copy(update={"parameters": {**fitted[i].parameters, name: value}})
     return with_effects(experiment, fitted, trial.linearized.theta)

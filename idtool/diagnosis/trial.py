@@ -72,7 +72,7 @@ class TrialFit:
     linearized
         The fit.
     standard_errors
-        Standard errors of the nonlinear parameters that were optimized.
+        Standard errors of the nonlinear parameters that were optimized; infinite if the data do not determine them.
     ranges
         Ranges within which they were kept; parameters without one may have any value.
     """
@@ -393,14 +393,23 @@ def _gauss_newton_step(
     """Fit after a step of all parameters together, or the same if none helps; and standard errors before the step."""
     probe = _parameter_probe(current, keys, ranges)
     (screened,) = screen_probes(current, [probe], progress, "optimizing nonlinear parameters")
-    errors = np.sqrt(np.diag(screened.covariance))
-    standard_errors = {key: float(error) for key, error in zip(keys, errors, strict=True)}
+    standard_errors = dict(zip(keys, _standard_errors(screened), strict=True))
 
     for length in _STEP_LENGTHS:
         better = _better_fit(current, _moved_entries(current, keys, length * screened.c, ranges), progress)
         if better is not None:
             return better, standard_errors
     return current, standard_errors
+
+
+def _standard_errors(screened: ScreenedProbe) -> list[float]:
+    """Standard errors of a probe's coefficients; infinite for those that the data do not determine.
+
+    The screening gives these, and all of a probe that failed, the coefficient 0 without any variance.
+    """
+    errors = np.sqrt(np.diag(screened.covariance))
+    is_determined = np.isfinite(errors) & (errors > 0)
+    return [float(error) for error in np.where(is_determined, errors, np.inf)]
 
 
 def _moved_entries(

@@ -16,10 +16,13 @@ from spatial_arm import experiment, recorded, spec_of, written
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.processes import in_processes
+from idtool.diagnosis.candidate_fit import imprecise_parameter
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.screen import screen_probes
 from idtool.diagnosis.trial import (
     TrialFit,
     _parameter_probe,
+    _standard_errors,
     fit_trial,
     has_fixed_inertia,
     parameter_value,
@@ -28,6 +31,7 @@ from idtool.diagnosis.trial import (
     with_fixed_inertia,
 )
 from idtool.diagnosis.trial_transfer import trial_from_bytes, trial_to_bytes
+from idtool.dynamics.effects.probe import Probe
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
@@ -165,6 +169,29 @@ def test_a_pattern_search_follows_a_ridge() -> None:
     assert len(evaluated) == len(set(evaluated))
 
 
+@pytest.mark.parametrize("is_alone", [True, False])
+def test_where_a_stop_is_that_is_never_reached_the_data_do_not_tell(tmp_path: Path, log: Log, is_alone: bool) -> None:
+    base = grounded(tmp_path, log)
+    beyond = 1.2 * float(np.abs(log["q"]).max())
+    entries = [entry("end_stop", stiffness=0.0, position=beyond)]
+    if not is_alone:
+        entries.append(entry("stribeck_friction", stribeck=0.0, velocity=VELOCITY))
+    done = fit_trial(base, entries, range(len(entries)), silent)
+    error = done.standard_errors[0, "position"]
+    assert error == np.inf
+    assert imprecise_parameter(done.entries[0], {"position": error}) == "position"
+    assert is_alone or 0 < done.standard_errors[1, "velocity"] < VELOCITY
+
+
+def test_a_probe_that_fails_determines_nothing(tmp_path: Path, log: Log) -> None:
+    def columns(motion: Any, linearized: Any) -> Any:
+        raise ValueError("as this test wants it")
+
+    base = grounded(tmp_path, log)
+    (screened,) = screen_probes(base, [Probe("", None, None, columns, 2, lambda c, information: None)], silent)
+    assert _standard_errors(screened) == [np.inf, np.inf]
+
+
 def test_what_cannot_be_is_not_tried(tmp_path: Path, log: Log) -> None:
     base = grounded(tmp_path, log)
     with pytest.raises(ConfigError, match="velocity of -1 is out of range"):
@@ -241,19 +268,25 @@ def test_a_trial_of_a_copy_is_as_if_fitted_here(tmp_path: Path, log: Log) -> Non
     assert kept.linearized.row_experiment is base.row_experiment
 
 
-def test_a_payload_is_estimated_anew_beside_a_tilt(tmp_path: Path) -> None:
-    """Its inertia too, which no gradient moves: MuJoCo's arm carries a load on a base that leans."""
+def payload_beside_tilt(folder: Path) -> tuple[LinearizedFit, list[EffectEntry]]:
+    """MuJoCo's arm, which carries a load on a base that leans, without these effects; and entries to begin with."""
     spec = spec_of()
     load = spec.body("tool").add_body(name="load", pos=[0.02, 0.05, 0.1], explicitinertial=True, mass=0.8)
     load.ipos, load.fullinertia = [0.0] * 3, [0.004, 0.003, 0.002, 0.0, 0.0, 0.0]
     spec.option.gravity = [0.6, -0.9, -9.75]
-    files = written(tmp_path, recorded(spec.compile(), 6.0), noise=0.01)
+    files = written(folder, recorded(spec.compile(), 6.0), noise=0.01)
     base = linearize_fit(with_fixed_inertia(experiment(*files, fitted=True)), silent)
     begun = {"mass": 0.6, "com": [0.0, 0.0, 0.05], "inertia": [0.02, 0.0, 0.02, 0.0, 0.0, 0.02]}
     entries = [
         EffectEntry(effect="payload", link="tool", parameters=begun),
         EffectEntry(effect="gravity_tilt", parameters={"gravity": [0.0, 0.0, -9.81]}),
     ]
+    return base, entries
+
+
+def test_a_payload_is_estimated_anew_beside_a_tilt(tmp_path: Path) -> None:
+    """Its inertia too, which no gradient moves."""
+    base, entries = payload_beside_tilt(tmp_path)
     payload, tilt = fit_trial(base, entries, (0, 1), silent, 5).entries
     assert payload.parameters["mass"] == pytest.approx(0.8, rel=0.01)
     np.testing.assert_allclose(payload.parameters["com"], [0.02, 0.05, 0.1], atol=0.002)
