@@ -534,7 +534,12 @@ def pattern_search(
 
 
 def _gain_with_unit_coefficient(screened: ScreenedProbe) -> float:
-    """Gain of a probe whose coefficient is 1, as that of an effect without coefficients is, and not the best one."""
+    """Gain of a probe whose coefficient is 1, as that of an effect without coefficients is, and not the best one.
+
+    Minus infinity if it failed: with its gain of 0, it would be better than one that only increases the error.
+    """
+    if screened.failure is not None:
+        return -np.inf
     deviation = screened.c - 1.0
     return screened.gain - float(deviation @ screened.information @ deviation)
 

@@ -327,6 +327,25 @@ def test_a_play_is_fitted_anew_with_what_changes_the_torque_on_its_teeth(
     assert tried == [[1], [0, 1]]
 
 
+def test_a_play_keeps_its_width_if_all_others_fail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Even one that only increases the error."""
+    width = 0.02
+    inner = Backlash.probe
+
+    def probe(summary: Any, joint: int, nonlinear_values: Any) -> Any:
+        def fail(motion: Any, linearized: Any) -> Any:
+            raise ValueError("as this test wants it")
+
+        built = inner(summary, joint, nonlinear_values)
+        return built if nonlinear_values["width"] == width else replace(built, columns=fail)
+
+    monkeypatch.setattr(Backlash, "probe", probe)
+    base = linearize_fit(experiment_of(tmp_path, spring, rows=slice(8000)), silent)
+    play = EffectEntry(effect="backlash", joint="j1", parameters={"width": width})
+    done = trial.fit_trial(base, [play], [0], silent, 0)
+    assert done.entries[0].parameters["width"] == width
+
+
 def test_what_is_optional_gives_way_to_what_the_data_then_determine(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

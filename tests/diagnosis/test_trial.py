@@ -21,6 +21,7 @@ from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.screen import screen_probes
 from idtool.diagnosis.trial import (
     TrialFit,
+    _gain_with_unit_coefficient,
     _parameter_probe,
     _standard_errors,
     fit_trial,
@@ -183,13 +184,14 @@ def test_where_a_stop_is_that_is_never_reached_the_data_do_not_tell(tmp_path: Pa
     assert is_alone or 0 < done.standard_errors[1, "velocity"] < VELOCITY
 
 
-def test_a_probe_that_fails_determines_nothing(tmp_path: Path, log: Log) -> None:
+def test_a_probe_that_fails_determines_nothing_and_is_worse_than_any_other(tmp_path: Path, log: Log) -> None:
     def columns(motion: Any, linearized: Any) -> Any:
         raise ValueError("as this test wants it")
 
     base = grounded(tmp_path, log)
     (screened,) = screen_probes(base, [Probe("", None, None, columns, 2, lambda c, information: None)], silent)
     assert _standard_errors(screened) == [np.inf, np.inf]
+    assert _gain_with_unit_coefficient(screened) == -np.inf
 
 
 def test_what_cannot_be_is_not_tried(tmp_path: Path, log: Log) -> None:
