@@ -43,7 +43,7 @@ _MAX_SIGN_CHANGE_SIZE = 0.1  # of a value that may change its sign in a Gauss-Ne
 _MAX_RELATIVE_STEP = 0.7  # of a value, in one Gauss-Newton step
 _MIN_STEP_REFERENCE = 1e-3  # a smaller value counts as this in the limit of a step
 _STEP_LENGTHS = (1.0, 0.3)  # of a Gauss-Newton step, tried in turn
-_MIN_RELATIVE_DECREASE = 1e-4  # of the squared error in a Gauss-Newton step, that makes another one worthwhile
+_MIN_RELATIVE_DECREASE = 1e-4  # of the squared error in an iteration, that makes another one worthwhile
 _RANGE_MARGIN = 2.0  # ratio by which a range exceeds the values that the search tries, at both ends
 _GRID_RATIO = 1.05  # of values one shortest step apart in a grid search
 _GRID_SHARE_STEP = 0.04  # shortest step of a value between 0 and a maximum, as a share of that
@@ -186,12 +186,12 @@ def fit_trial(
             standard_errors |= grid_errors
 
     for _ in range(max_steps):
+        initial_error = current.total_cv_squared_error
         if len(optimized) > 1:
             current = _step_of_linear_effects(current, optimized, ranges, progress)
         keys = _gradient_keys(current.experiment.config.effects, optimized)
         if not keys:
             break
-        initial_error = current.total_cv_squared_error
         current, step_errors = _gauss_newton_step(current, keys, ranges, progress)
         standard_errors |= step_errors
         decrease = initial_error - current.total_cv_squared_error

@@ -16,6 +16,7 @@ from spatial_arm import experiment, recorded, spec_of, written
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.processes import in_processes
+from idtool.diagnosis import trial as module
 from idtool.diagnosis.candidate_fit import imprecise_parameter
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.screen import screen_probes
@@ -294,3 +295,14 @@ def test_a_payload_is_estimated_anew_beside_a_tilt(tmp_path: Path) -> None:
     np.testing.assert_allclose(payload.parameters["com"], [0.02, 0.05, 0.1], atol=0.002)
     np.testing.assert_allclose(payload.parameters["inertia"], [0.004, 0, 0.003, 0, 0, 0.002], atol=0.002)
     np.testing.assert_allclose(tilt.parameters["gravity"], [0.6, -0.9, -9.75], atol=0.02)
+
+
+def test_a_fit_goes_on_as_long_as_the_coefficients_of_a_payload_improve(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Although a step of the parameters alone does not help."""
+    base, entries = payload_beside_tilt(tmp_path)
+    monkeypatch.setattr(module, "_gauss_newton_step", lambda current, *others: (current, {}))
+    errors = [fit_trial(base, entries, (0, 1), silent, n).linearized.total_cv_squared_error for n in (0, 1, 5)]
+    assert errors[1] < 0.9 * errors[0]
+    assert errors[2] < 0.9 * errors[1]
