@@ -25,11 +25,11 @@ from idtool.dynamics.effects import effect_from_entry
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import EffectEntry
 
-_MIN_SHARE_OF_LARGEST = 0.1  # of what the largest effect explains, that needs no further evidence
-_MIN_EXPLAINED = 0.7  # of its joint's residual above the noise floor, that a smaller effect must explain
-_MIN_EXPLAINED_ON_ITS_JOINT = 0.5  # likewise, by one that is not small beside the largest on its joint
-_MIN_EXPLAINED_BY_ANY = 0.2  # likewise, by every effect
-_MIN_EXPLAINED_IF_VARYING = 0.5  # likewise, by an effect that differs between parts of the data
+_MIN_RATIO_TO_LARGEST = 0.1  # of the mean squares that two effects explain; an effect with less is small
+_MIN_EXPLAINED_SHARE = 0.2  # of its joint's residual above the noise floor, that every effect must explain
+_MIN_EXPLAINED_SHARE_IF_VARYING = 0.5  # likewise, by an effect that differs between parts of the data
+_MIN_EXPLAINED_SHARE_IF_SMALL = 0.5  # likewise, by an effect that is small
+_MIN_EXPLAINED_SHARE_IF_SMALL_ON_JOINT = 0.7  # likewise, by one that is small even beside those on its joint
 _MIN_GAIN_SIGNIFICANCE = 2.0  # standard errors of a gain, by its scatter over blocks of time; less is varying
 
 
@@ -90,41 +90,45 @@ def find_unproven(
             continue
         j = _clearest_joint(explained[k], np.square(floor.noise))
         share = _explained_share(float(explained[k][j]), float(above_floor[j]))
-        is_small = k != largest and totals[k] < _MIN_SHARE_OF_LARGEST * totals[largest]
-        is_small_on_joint = explained[k][j] < _MIN_SHARE_OF_LARGEST * largest_on_joint[j]
-        min_share = _MIN_EXPLAINED if is_small_on_joint else _MIN_EXPLAINED_ON_ITS_JOINT
+        is_small = k != largest and totals[k] < _MIN_RATIO_TO_LARGEST * totals[largest]
+        is_small_on_joint = explained[k][j] < _MIN_RATIO_TO_LARGEST * largest_on_joint[j]
+        min_share = _MIN_EXPLAINED_SHARE_IF_SMALL_ON_JOINT if is_small_on_joint else _MIN_EXPLAINED_SHARE_IF_SMALL
         if is_small and share < min_share:
             return UnprovenEffect(k, "it explains less than a tenth of what another effect does")
-        if share < _MIN_EXPLAINED_IF_VARYING:
+        if share < _MIN_EXPLAINED_SHARE_IF_VARYING:
             (sizes,) = estimate_on_parts(current, [entries[k]], progress)
             units = effect_from_entry(entries[k], current.experiment.model).parameter_units()
             if difference := contradiction(sizes, units):
                 return UnprovenEffect(k, f"it is not the same everywhere in the data ({difference})")
             if gains[k].sum() < _MIN_GAIN_SIGNIFICANCE * sum_standard_error(gains[k]):
                 return UnprovenEffect(
-                    k, "it explains less than half of its joint's residual, and only in parts of the data"
+                    k,
+                    "it explains less than half of what its joint's residual has above the noise floor, and only in "
+                    "parts of the data",
                 )
-        if share < _MIN_EXPLAINED_BY_ANY:
+        if share < _MIN_EXPLAINED_SHARE:
             return UnprovenEffect(
                 k, "it explains less than a fifth of what its joint's residual has above the noise floor"
             )
     return None
 
 
-def _clearest_joint(explained: Array, noise: Array) -> int:
+def _clearest_joint(explained: Array, noise_squares: Array) -> int:
     """Index of the joint on which an effect shows most clearly.
 
     Parameters
     ----------
     explained
         Mean square that it explains of each joint's residual, shape (nv,).
-    noise
+    noise_squares
         Mean square of each joint's noise, shape (nv,); 0: the joint rests, and shows nothing.
     """
-    moves = noise > 0
+    moves = noise_squares > 0
     if not moves.any():
         return int(np.argmax(explained))
-    return int(np.argmax(np.divide(explained, noise, out=np.full(len(noise), -np.inf), where=moves)))
+    clarity = np.full(len(explained), -np.inf)
+    clarity[moves] = explained[moves] / noise_squares[moves]
+    return int(np.argmax(clarity))
 
 
 def _explained_share(explained: float, above_floor: float) -> float:
