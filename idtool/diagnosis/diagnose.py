@@ -107,12 +107,12 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     experiment = replace(experiment, cache=BatchCache())
     model = with_fixed_inertia(experiment) if options.inertia == "fixed" else experiment
     first = fit(model, progress)
-    no_faults: tuple[Notice, ...] = ()
+    no_notices: tuple[Notice, ...] = ()
     check = Background(partial(find_data_faults, experiment))
     with check, _begin_simulation(first, options.simulate) as simulation:
         search = _run_search(model, options, progress)
         stages = Stages(interrupted=search.is_interrupted)
-        faults = stages.run("the check of the data", partial(check.result, progress), no_faults)
+        faults = stages.run("the check of the data", partial(check.result, progress), no_notices)
         first = _with_simulation(first, simulation, progress, stages)
     before = errors_of_fit(first)
     simulate = first.simulation is not None  # without that of the first model, there is nothing to compare with
@@ -128,7 +128,8 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     steps = with_doubts(_steps(search, first, last, simulate, stages), experiment.model)
     steps = _confirmed(steps, search, remaining, faults, stages)
     unknown_steps = _unknown_steps(search, remaining, last, stages)
-    held_out_notices = tuple(_held_out_notices(search, unknown_steps))
+    check_held_out = partial(_held_out_notices, search, unknown_steps)
+    held_out_notices = stages.run("the check of the held-out data", check_held_out, no_notices)
     if unknown_steps:
         search.note_limit()
     steps += unknown_steps
@@ -261,7 +262,17 @@ def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool, stages: 
             theta = current.estimate.theta
             errors_with_simulation = partial(evaluate_errors, current.experiment, theta, True, search.progress)
             after = stages.run("the simulation", errors_with_simulation, after)
-        steps.append(_step(effect, search, last, previous, current, before, after, stages))
+        step = _step(
+            effect=effect,
+            search=search,
+            last=last,
+            previous=previous,
+            current=current,
+            errors_before=before,
+            errors_after=after,
+            stages=stages,
+        )
+        steps.append(step)
         previous = current
         before = after
     return steps
@@ -310,7 +321,10 @@ def _step(
 
 
 def _fit_with_first_effects(search: EffectSearch, count: int) -> Fit:
-    """Fit with the first effects found, made as that of the final model, so that their errors can be compared."""
+    """Fit of the model with the first effects found, as many as ``count``.
+
+    It is made as the fit of the final model is, so that their errors can be compared.
+    """
     return fit(search.model.experiment_with(search.reported[:count]), search.progress)
 
 
@@ -384,17 +398,18 @@ def _doubt_notices(steps: Sequence[DiagnosisStep]) -> Iterator[Notice]:
             yield Notice("effect_doubtful", "warning", None, step.doubt)
 
 
-def _held_out_notices(search: EffectSearch, unknown_steps: Sequence[DiagnosisStep]) -> Iterator[Notice]:
+def _held_out_notices(search: EffectSearch, unknown_steps: Sequence[DiagnosisStep]) -> tuple[Notice, ...]:
     """Notice about joints with an unknown residual of which the training data contain nothing."""
     if not unknown_steps or not search.current.experiment.has_held_out:
-        return
+        return ()
     quiet = quiet_joints(search.current, search.progress)
     joints = [step.chosen.target for step in unknown_steps if step.chosen.target in quiet]
-    if joints:
-        where = join_names(joints)
-        message = f"the held-out data disagree with the model on {where}, but the training data do not show why"
-        advice = "give another log, or another --holdout: the training data need such motion and torque too"
-        yield Notice("only_held_out_disagrees", "warning", None, message, advice)
+    if not joints:
+        return ()
+    where = join_names(joints)
+    message = f"the held-out data disagree with the model on {where}, but the training data do not show why"
+    advice = "give another log, or another --holdout: the training data need such motion and torque too"
+    return (Notice("only_held_out_disagrees", "warning", None, message, advice),)
 
 
 def _short_data_notices(remaining: RemainingResidual) -> Iterator[Notice]:

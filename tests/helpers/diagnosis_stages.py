@@ -4,12 +4,12 @@ STAGES = (
     "find_data_faults",
     "_fit_with_first_effects",
     "evaluate_errors",
-    "_fit_with_first_effects",
     "residual_structure",
     "structured_noise_floor",
     "localize_residual",
     "localize_unexplained",
     "effect_profile",
     "estimate_on_parts",
+    "_held_out_notices",
     "residual_maps",
 )
