@@ -120,14 +120,15 @@ class Backlash(FixedJointEffect):
 
     @override
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
-        """Samples while the teeth are apart and until their impact has decayed, on all joints that it shakes."""
+        """Samples while the teeth fly apart, may have met, or have just met, on all joints that this shakes."""
         if self._rigid_joint_model is None:
             return {}
         play = self._play(motion, self._rigid_joint_model(motion))
         speed = np.abs(np.gradient(play.motor_position, motion.dt))
-        apart = speed > _MIN_SPEED_APART * self.nonlinear_values["width"]
+        fly_apart = speed > _MIN_SPEED_APART * self.nonlinear_values["width"]
+        may_touch = (play.apart_share > 0) & (play.apart_share < 1)
         reach = max(round(_IMPACT_DECAY / motion.dt), 1)
-        mask = ndimage.binary_dilation(apart, iterations=reach)
+        mask = ndimage.binary_dilation(fly_apart | may_touch, iterations=reach)
         return dict.fromkeys(range(len(motion.q)), mask)
 
     def _play(self, motion: Motion, model: Linearization) -> _Play:
@@ -155,10 +156,13 @@ class _Play:
         Position of the motor within the play, in [−width/2, width/2], shape (N,) [rad or m].
     friction_change
         Friction of the link at its own velocity less that at the motor's, shape (N,) [N·m or N].
+    apart_share
+        Share of the widths with which the teeth are apart, shape (N,).
     """
 
     motor_position: Array
     friction_change: Array
+    apart_share: Array
 
 
 def _torque_change(play: _Play, dt: float, joint: int, linearized: Linearization) -> Array:
@@ -194,7 +198,11 @@ def _play_along(motion: Motion, joint: int, nonlinear_values: Mapping[str, float
     plays = [_simulate_play(relative, factor * width) for factor in _WIDTH_BLUR]
     motor_position = np.mean([play.motor_position for play in plays], axis=0)
     friction_change = np.mean([play.friction_change for play in plays], axis=0)
-    return _Play(_with_teeth_lag(motor_position, motion.dt), _with_teeth_lag(friction_change, motion.dt))
+    return _Play(
+        motor_position=_with_teeth_lag(motor_position, motion.dt),
+        friction_change=_with_teeth_lag(friction_change, motion.dt),
+        apart_share=np.mean([play.apart_share for play in plays], axis=0),
+    )
 
 
 def _with_teeth_lag(x: Array, dt: float) -> Array:
@@ -355,6 +363,7 @@ def _simulate_play(relative: _RelativeMotion, width: float) -> _Play:
     """
     positions = np.empty(relative.sample_count)
     friction_changes = np.zeros(relative.sample_count)
+    is_apart = np.zeros(relative.sample_count)
     begins_driven_down = relative.driven_down[:1] == [0]
     side = -1 if begins_driven_down else 1  # of the play, at which the teeth are in contact
     k = 0
@@ -372,5 +381,6 @@ def _simulate_play(relative: _RelativeMotion, width: float) -> _Play:
         positions[separation:k] = displacements
         positions[separation:k] += contact
         friction_changes[separation:k] = changes
+        is_apart[separation:k] = 1.0
         side = 1 if contact + displacements[-1] > 0 else -1
-    return _Play(np.clip(positions, -width / 2, width / 2), friction_changes)
+    return _Play(np.clip(positions, -width / 2, width / 2), friction_changes, is_apart)
