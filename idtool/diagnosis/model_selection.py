@@ -242,7 +242,9 @@ def select_best(
             indistinguishable.append(rival)
         else:
             runners_up.append(rival)
-    return SelectionStep(base, winner, tuple(indistinguishable), tuple(runners_up), rejected, inflation, failed)
+    likeliest = _likeliest(winner, indistinguishable)
+    alike = [candidate for candidate in (winner, *indistinguishable) if candidate is not likeliest]
+    return SelectionStep(base, likeliest, tuple(alike), tuple(runners_up), rejected, inflation, failed)
 
 
 def _all_rejected(base: LinearizedFit, screening: Screening, fits: FullFits) -> tuple[Candidate, ...]:
@@ -268,6 +270,18 @@ def _simplest_of_best(worthwhile: Sequence[FittedCandidate]) -> FittedCandidate:
     # an effect that can imitate another one is chosen only if that is not as good
     specific = [candidate for candidate in equals if not any(_generalizes(candidate, other) for other in equals)]
     return min(specific or equals, key=lambda candidate: (candidate.probe.complexity, -candidate.gain))
+
+
+def _likeliest(winner: FittedCandidate, indistinguishable: Sequence[FittedCandidate]) -> FittedCandidate:
+    """The winner, or in its place the common friction of the same joint, if the data cannot distinguish the two.
+
+    Every joint has viscous and dry friction, and few have anything else that resembles it.
+    """
+    for candidate in (winner, *indistinguishable):
+        kind = effect_types()[candidate.probe.effect]
+        if candidate.probe.joint == winner.probe.joint and kind.is_friction and kind.is_commonplace:
+            return candidate
+    return winner
 
 
 def _is_worth_adding(candidate: FittedCandidate, base: LinearizedFit, inflation: float, min_share: float) -> bool:
@@ -357,7 +371,7 @@ def _rejected_by_screening(candidate: ScreenedProbe, base: LinearizedFit, inflat
     elif candidate.gain < MIN_SIGNIFICANCE**2 * inflation:
         reason = "explains no more of the data not used for fitting than expected by chance"
     else:
-        reason = f"explains {100 * share:.2g} % of the residual on its joint, less than another effect"
+        reason = f"explains {_percentage(min(share, 1.0))} % of the residual on its joint, less than another effect"
     return screened_record(candidate, base, reason)
 
 
@@ -387,3 +401,9 @@ def _scores(gain: float, standard_error: float, probe: Probe, base: LinearizedFi
 def _joint_count(probe: Probe, base: LinearizedFit) -> int:
     """Number of joints that a probe acts on."""
     return 1 if probe.joint else base.joint_count
+
+
+def _percentage(share: float) -> str:
+    """A share as a percentage, without an exponent."""
+    percentage = 100 * share
+    return f"{percentage:.0f}" if percentage >= 10 else f"{percentage:.2g}"

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from idtool.diagnosis import (
     effect_order,
     effect_pair,
     effect_search,
+    model_selection,
     quiet_joints,
     selection_round,
     trial,
@@ -223,6 +225,29 @@ def test_a_play_is_believed_if_the_residual_is_large_while_its_teeth_are_apart(t
     play = EffectEntry(effect="backlash", joint="j1", parameters={"width": 0.002, "motor_friction": 0.5})
     fit = linearize_fit(with_effects(base.experiment, [play], base.theta), silent, base)
     assert candidate_fit._is_concentrated_where_undefined(fit, base, "j1", silent) is is_play
+
+
+@pytest.mark.parametrize(
+    ("winner", "rivals", "first"),
+    [
+        (
+            ("transmission_coupling", "j1"),
+            [("stribeck_friction", "j1"), ("coulomb_friction", "j1")],
+            "coulomb_friction",
+        ),
+        (("transmission_coupling", "j1"), [("coulomb_friction", "j2")], "transmission_coupling"),
+        (("load_dependent_friction", "j1"), [("stribeck_friction", "j1")], "load_dependent_friction"),
+        (("viscous_friction", "j1"), [("coulomb_friction", "j1")], "viscous_friction"),
+    ],
+)
+def test_of_what_cannot_be_distinguished_the_friction_that_every_joint_has_comes_first(
+    winner: tuple[str, str], rivals: list[tuple[str, str]], first: str
+) -> None:
+    def candidate(effect: str, joint: str) -> Any:
+        return SimpleNamespace(probe=SimpleNamespace(effect=effect, joint=joint))
+
+    likeliest = model_selection._likeliest(candidate(*winner), [candidate(*rival) for rival in rivals])
+    assert likeliest.probe.effect == first
 
 
 def test_what_is_left_out_leaves_more_on_its_joint(tmp_path: Path) -> None:
