@@ -132,6 +132,7 @@ class Backlash(FixedJointEffect):
         return dict.fromkeys(range(len(motion.q)), mask)
 
     def _play(self, motion: Motion, model: Linearization) -> _Play:
+        """Play along a motion; the latest is kept."""
         if self._latest is None or self._latest[0] is not motion:
             self._latest = motion, _play_along(motion, self.joint, self.nonlinear_values, model)
         return self._latest[1]
@@ -252,9 +253,9 @@ class _RelativeMotion:
         self.sample_count = len(velocity)
         self.driven_up: list[int] = np.flatnonzero(transmitted > 0).tolist()
         self.driven_down: list[int] = np.flatnonzero(transmitted < 0).tolist()
-        # changes of the relative velocity from sample to sample
         self._transmitted = transmitted.tolist()
-        self._inertia_per_step = (inertia / self.dt).tolist()
+        self._inertia_per_time_step = (inertia / self.dt).tolist()
+        # changes of the relative velocity from sample to sample
         self._velocity_change = (without_dry_friction / inertia * self.dt).tolist()
         self._damping_divisor = (1 + link_viscosity / inertia * self.dt).tolist()
         self._max_friction_velocity_change = ((1 - motor_friction) * dry_friction_level / inertia * self.dt).tolist()
@@ -299,7 +300,7 @@ class _RelativeMotion:
             max_change = self._max_friction_velocity_change[k]
             velocity = damped_velocity + min(max(link_velocity, -max_change), max_change)
             # No torque is transmitted, so what does not accelerate the link is friction.
-            accelerating_torque = self._inertia_per_step[k] * (velocity - previous_velocity)
+            accelerating_torque = self._inertia_per_time_step[k] * (velocity - previous_velocity)
             path.friction_changes.append(accelerating_torque - self._transmitted[k])
             displacement += velocity * self.dt
             depth = max(depth, -side * displacement)
