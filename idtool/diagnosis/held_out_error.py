@@ -9,6 +9,7 @@ from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.regressor import LinearModel
 
 _MAX_LOG_INCREASE = 0.01  # by chance, of the logarithm of the squared error, summed over the joints
+_NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller increase of the error does not matter
 _CLEAR_LOG_DECREASE = 0.1  # of it, that outweighs what the inaccuracy of an effect costs elsewhere
 
 
@@ -71,8 +72,9 @@ def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> b
 def held_out_log_change(before: LinearizedFit, after: LinearizedFit, row_equation: LinearModel) -> float:
     """Change of the logarithm of the held-out data's squared error by an effect, summed over the joints.
 
-    A negative change is an improvement. Each joint counts relative to its own error, so that a joint that still lacks a
-    large effect does not decide alone. Without held-out data, the change is 0.
+    A negative change is an improvement. Each joint counts relative to its own error, so that one that still lacks a
+    large effect does not decide alone. An increase that is negligible beside the joint's torque does not count, as
+    where hardly any noise is on a small torque. Without held-out data, the change is 0.
 
     Parameters
     ----------
@@ -81,8 +83,10 @@ def held_out_log_change(before: LinearizedFit, after: LinearizedFit, row_equatio
     row_equation
         Equation whose columns must be defined at a row for it to count.
     """
-    errors_before = held_out_mean_squares(before, row_equation)
-    errors_after = held_out_mean_squares(after, row_equation)
+    squares_before = held_out_mean_squares(before, row_equation)
+    squares_after = held_out_mean_squares(after, row_equation)
+    negligible = np.square(_NEGLIGIBLE * before.rms_torque)
     with np.errstate(invalid="ignore"):
-        change = np.log(errors_after / errors_before)
-    return float(np.nansum(change))
+        change = np.log(squares_after / squares_before)
+        is_negligible = (change > 0) & (squares_after - squares_before < negligible)
+    return float(np.nansum(np.where(is_negligible, 0.0, change)))

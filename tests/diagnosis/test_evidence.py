@@ -186,6 +186,22 @@ def test_held_out_data_are_less_likely_with_what_is_not_there(tmp_path: Path) ->
         assert lowers_held_out_likelihood(before, after) is worsens
 
 
+@pytest.mark.parametrize(("share_of_torque", "worsens"), [(2e-3, False), (5e-3, True)])
+def test_an_increase_that_is_negligible_beside_the_torque_does_not_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, share_of_torque: float, worsens: bool
+) -> None:
+    """By errors that are given here: that of the second joint is tiny without the effect, and grows manyfold."""
+    before = fitted(experiment_of(tmp_path, nothing, rows=slice(4000)))
+    after = linearize_fit(before.experiment, silent, before)
+    increase = np.square(share_of_torque * before.rms_torque[1])
+
+    def mean_squares(model: LinearizedFit, row_equation: Any) -> Array:
+        return np.array([1.0, 1e-3 * increase if model is before else increase])
+
+    monkeypatch.setattr(held_out_error, "held_out_mean_squares", mean_squares)
+    assert lowers_held_out_likelihood(before, after) is worsens
+
+
 @pytest.mark.parametrize(("after_everywhere", "worsens"), [(0.5, False), (0.97, True), (1.2, True), (np.nan, True)])
 def test_a_play_may_cost_a_little_elsewhere_if_it_explains_the_data_where_it_acts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after_everywhere: float, worsens: bool
