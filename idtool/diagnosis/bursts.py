@@ -58,9 +58,10 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
     -------
     Hypotheses about contacts, for each training log separately. A burst may have several windows of time.
 
-    Where the residual begins or ends within milliseconds, it is a contact on an unknown link: all such windows are one
-    burst. If the residual is large in other windows too, another burst with all windows precedes it. Where it comes
-    and goes slowly, it is a push: there is one burst for each link on which a push explains it.
+    A residual that begins or ends within milliseconds is a contact. Its link is unknown. All windows of contacts are
+    one burst. If the residual is large in other windows too, a burst with all windows comes before it.
+
+    A residual that comes and goes slowly is a push. There is a burst for each link on which a push explains it.
     """
     residual = robust_residual(experiment, theta, progress, "looking for contacts")
     if len(experiment.runs) == 1:

@@ -271,11 +271,16 @@ def _increases_error_in_parts(candidate: FittedCandidate) -> bool:
     return bool(loss > _MAX_LOSS_SHARE * gain)
 
 
-def _is_concentrated_where_undefined(fit: LinearizedFit, base: LinearizedFit, joint: str, progress: Progress) -> bool:
+def _is_concentrated_where_undefined(
+    fit: LinearizedFit,
+    base: LinearizedFit,
+    joint: str,
+    progress: Progress,
+) -> bool:
     """True if a joint's residual without an effect is much larger at the rows where the effect is undefined.
 
-    A backlash is undefined while its teeth are apart, and acts just then. Where the residual is as large while they
-    touch, it has another cause.
+    A backlash is undefined while its teeth are apart. It acts just then. A residual that is as large while they touch
+    has another cause.
 
     Parameters
     ----------
@@ -286,18 +291,20 @@ def _is_concentrated_where_undefined(fit: LinearizedFit, base: LinearizedFit, jo
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
-    defined_rows_only = replace(base, row_experiment=fit.experiment)
-    base_where_defined = linearize_fit(base.experiment, progress, defined_rows_only)
+    reference = replace(base, row_experiment=fit.experiment)  # whose rows are those where the effect is defined
+    base_where_defined = linearize_fit(base.experiment, progress, reference)
     j = base.experiment.equation.joints.index(joint)
-    row_count = base.row_counts.sum(axis=0)[j]
-    defined_row_count = base_where_defined.row_counts.sum(axis=0)[j]
-    if defined_row_count == row_count:
+
+    defined_count = base_where_defined.row_counts.sum(axis=0)[j]
+    undefined_count = base.row_counts.sum(axis=0)[j] - defined_count
+    if undefined_count == 0:
         return False
-    squares = base.sse.sum(axis=0)[j]
     defined_squares = base_where_defined.sse.sum(axis=0)[j]
-    mean_square = defined_squares / defined_row_count
-    mean_square_where_undefined = (squares - defined_squares) / (row_count - defined_row_count)
-    return bool(mean_square_where_undefined > _MIN_CONCENTRATION * mean_square)
+    undefined_squares = base.sse.sum(axis=0)[j] - defined_squares
+
+    mean_square_where_defined = defined_squares / defined_count
+    mean_square_where_undefined = undefined_squares / undefined_count
+    return bool(mean_square_where_undefined > _MIN_CONCENTRATION * mean_square_where_defined)
 
 
 def _is_too_small(candidate: FittedCandidate, base: LinearizedFit, initial: LinearizedFit, progress: Progress) -> bool:

@@ -23,6 +23,7 @@ from idtool.common.units import position_units, units_text
 from idtool.data.inspection import inspect_log
 from idtool.data.pairing import LogPair, align
 from idtool.diagnosis.diagnose import Options, diagnose
+from idtool.diagnosis.error_summary import NEGLIGIBLE_SHARE
 from idtool.diagnosis.fitted_pair import ALL_BODIES, RIGID_BODY, FittedPair, GapLevel, TermKey, fitted_delay
 from idtool.diagnosis.records import Diagnosis
 from idtool.diagnosis.trial import with_effects
@@ -36,7 +37,6 @@ _MIN_SIGNIFICANCE = 3.0  # standard errors by which a parameter must differ
 _INSIGNIFICANT = f"differs by less than {_MIN_SIGNIFICANCE:g} standard errors"
 _UNKNOWN_ERROR = "its standard error in the simulator or on the robot is not known"
 _MIN_SHARE = 0.01  # of a joint's squared gap that a change must close
-_NEGLIGIBLE = 3e-3  # of a joint's torque, as its standard deviation: a smaller error does not matter
 _MAX_UNEXPLAINED = 0.05  # of a joint's rms torque that the simulator's model may leave
 _MAX_OVER_FLOOR = 2.0  # times the noise floor: an error up to there may be noise
 _IN_ROBOT_LOGS_ONLY = ("wrong_unit", "wrong_sign")  # faults that the configuration corrects in the robot's logs only
@@ -320,7 +320,7 @@ def _gap_shares(pair: FittedPair, significant: Sequence[TermKey], unexplained: A
     weights = 1 / np.maximum(torque_std, 1e-12) ** 2
     before = pair.mean_squared_errors(())
     after = pair.mean_squared_errors(significant)
-    least_change = np.maximum(_MIN_SHARE * before, (_NEGLIGIBLE * torque_std) ** 2)
+    least_change = np.maximum(_MIN_SHARE * before, (NEGLIGIBLE_SHARE * torque_std) ** 2)
     gap = float(weights @ (before - after))
     gap_shares: dict[TermKey, _GapShare] = {}
     for key in significant:
@@ -331,7 +331,7 @@ def _gap_shares(pair: FittedPair, significant: Sequence[TermKey], unexplained: A
         if not (reopened > least_change).any():
             reason = "hardly changes the torque"
         elif not (reopened > np.maximum(least_change, unexplained)).any():
-            reason = "changes the torque by less than the error of the simulator's model on the simulator's own logs"
+            reason = "changes the torque by less than the simulator's own logs leave unexplained"
         gap_shares[key] = _GapShare(share, reason)
 
     needed = _needed(gap_shares)
@@ -472,7 +472,7 @@ def _unexplained_notices(simulator: Diagnosis) -> Iterator[Notice]:
 def _unexplained_gap(before: GapLevel, robot: Diagnosis) -> Obstacle | None:
     """An error of the simulator's model far above the noise floor although no change was found; None if it is near."""
     for name in robot.last.experiment.equation.joints:
-        negligible = _NEGLIGIBLE * robot.last.evaluation.torque_std[name]
+        negligible = NEGLIGIBLE_SHARE * robot.last.evaluation.torque_std[name]
         if before.torque[name] > max(_MAX_OVER_FLOOR * robot.floor[name], negligible):
             advice = (
                 "See the effects that need no change in diagnosis.html: those with large standard errors in the "

@@ -74,8 +74,8 @@ class EffectSearch:
     last_round
         The latest round in which effects were tried; None before the first.
     reversal_joints
-        Rms residual of the joints whose friction does not follow its law near reversals [N·m or N]: with the rows near
-        reversals, and without them. If there are such joints, these rows are excluded.
+        The joints whose friction does not follow its law near reversals. The values are their rms residual with the
+        rows near reversals, and without these rows [N·m or N]. If there are such joints, the rows are excluded.
     failed
         Reason why an effect could not be fitted or was refused, by effect and target.
     stopped

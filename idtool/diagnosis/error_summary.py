@@ -9,6 +9,8 @@ from idtool.estimation.evaluation.rollouts import evaluate_rollouts
 from idtool.estimation.evaluation.torque_errors import evaluate
 from idtool.estimation.fit import Fit
 
+NEGLIGIBLE_SHARE = 3e-3  # of a joint's torque: a smaller error does not matter
+
 _MODEL = "model"
 _IDENTIFIED = "identified"
 

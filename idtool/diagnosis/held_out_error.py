@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.diagnosis.error_summary import NEGLIGIBLE_SHARE
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.dynamics.regressor import LinearModel
 
 _MAX_LOG_INCREASE = 0.01  # by chance, of the logarithm of the squared error, summed over the joints
-_NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller increase of the error does not matter
 _CLEAR_LOG_DECREASE = 0.1  # of it, that outweighs what the inaccuracy of an effect costs elsewhere
 
 
@@ -51,10 +51,12 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
 def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> bool:
     """True if the held-out data are less likely under the model with an effect than under that without it.
 
-    The rows at which the model with the effect is defined decide. A backlash is undefined while its teeth are apart,
-    and acts just then. So an effect that makes these rows less likely is accepted all the same if it makes all rows
-    together clearly more likely. An effect that the held-out motion does not excite is accepted: it changes hardly
-    anything.
+    The rows at which the model with the effect is defined decide.
+
+    A backlash is undefined while its teeth are apart, and acts just then. So an effect that makes these rows less
+    likely is accepted all the same if it makes all rows together clearly more likely.
+
+    An effect that the held-out motion does not excite changes hardly anything. It is accepted.
 
     Parameters
     ----------
@@ -72,9 +74,10 @@ def lowers_held_out_likelihood(before: LinearizedFit, after: LinearizedFit) -> b
 def held_out_log_change(before: LinearizedFit, after: LinearizedFit, row_equation: LinearModel) -> float:
     """Change of the logarithm of the held-out data's squared error by an effect, summed over the joints.
 
-    A negative change is an improvement. Each joint counts relative to its own error, so that one that still lacks a
-    large effect does not decide alone. An increase that is negligible beside the joint's torque does not count, as
-    where hardly any noise is on a small torque. Without held-out data, the change is 0.
+    A negative change is an improvement. Without held-out data, the change is 0.
+
+    Each joint counts relative to its own error. So a joint that still lacks a large effect does not decide alone. An
+    increase that is negligible beside the joint's torque does not count. So a joint with little noise does not either.
 
     Parameters
     ----------
@@ -85,7 +88,7 @@ def held_out_log_change(before: LinearizedFit, after: LinearizedFit, row_equatio
     """
     squares_before = held_out_mean_squares(before, row_equation)
     squares_after = held_out_mean_squares(after, row_equation)
-    negligible = np.square(_NEGLIGIBLE * before.rms_torque)
+    negligible = np.square(NEGLIGIBLE_SHARE * before.rms_torque)
     with np.errstate(invalid="ignore"):
         change = np.log(squares_after / squares_before)
         is_negligible = (change > 0) & (squares_after - squares_before < negligible)

@@ -1,7 +1,7 @@
 """Selection of the best of the fitted effects, and of those that the data cannot distinguish from it.
 
-The *gain* of a candidate is the reduction of the squared residual in cross-validation, in units of the noise variance:
-blocks of time are left out in turn, and their gains are summed.
+The *gain* of a candidate is the reduction of the squared residual in cross-validation. Blocks of time are left out in
+turn, and their gains are summed. It is in units of the noise variance.
 
 Rows that follow one another are correlated. *Inflation* is the number of rows that are worth one independent row. A
 gain by chance is that many times larger than with independent rows.

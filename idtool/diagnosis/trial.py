@@ -2,7 +2,7 @@
 
 Nonlinear parameters are found by variable projection (Golub & Pereyra 1973, in the form of Kaufman 1975): Gauss-Newton
 steps on the residual that the best linear coefficients leave. The derivative of the residual with respect to a
-parameter is one more column. `screen_probes` evaluates it as any other, which gives the step and its standard error.
+parameter is one more column. `screen_probes` evaluates it as any other. This gives the step and its standard error.
 """
 
 from __future__ import annotations
@@ -154,9 +154,11 @@ def fit_trial(
 ) -> TrialFit:
     """Fit a model with other effects, on the rows and in the units of another fit.
 
-    Parameters on which the columns depend smoothly take Gauss-Newton steps, all together. Before that, those with which
-    the columns jump are searched for on a grid, effect by effect. After the grid search of an effect that is undefined
-    where it acts, such as a play, the fit has rows of its own: call `on_rows_of` to compare it.
+    First, parameters with which the columns jump are searched for on a grid, effect by effect. Then those on which the
+    columns depend smoothly take Gauss-Newton steps, all together.
+
+    With an effect that is undefined where it acts, such as a play, the fit has rows of its own. Call `on_rows_of` to
+    compare it with others.
 
     Parameters
     ----------
@@ -390,7 +392,10 @@ def _step_of_linear_effect(
 def _gauss_newton_step(
     current: LinearizedFit, keys: Sequence[ParameterKey], ranges: Mapping[ParameterKey, Range], progress: Progress
 ) -> tuple[LinearizedFit, dict[ParameterKey, float]]:
-    """Fit after a step of all parameters together, or the same if none helps; and standard errors before the step."""
+    """Fit after a step of all parameters together, and their standard errors before it.
+
+    If no step helps, the fit is the same.
+    """
     probe = _parameter_probe(current, keys, ranges)
     (screened,) = screen_probes(current, [probe], progress, "optimizing nonlinear parameters")
     standard_errors = dict(zip(keys, _standard_errors(screened), strict=True))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.diagnosis.error_summary import NEGLIGIBLE_SHARE
 from idtool.diagnosis.generic_probes import UNKNOWN, generic_probes
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.model_selection import MIN_SIGNIFICANCE, explained_share
@@ -19,7 +20,6 @@ from idtool.diagnosis.summarize_data import summarize_data
 from idtool.estimation.dataset.experiment import Progress
 
 _STRUCTURED_SHARE = 0.1  # of a joint's squared residual, explained by a generic function: it has structure
-_NEGLIGIBLE = 3e-3  # of a joint's rms torque: a smaller residual does not matter
 _SLOW_POWER = 25.0  # ratio of the residual's power to the noise's at the motion's frequencies: it has structure
 _MAX_FLOOR_RATIO = 1.3  # of the noise floor, up to which a residual is explained
 _NEAR_NOISE = 1.5  # times the noise, up to which a residual counts as noise
@@ -73,7 +73,7 @@ class RemainingResidual:
         rms_torque
             Rms of each joint's torque, shape (nv,) [N·m or N].
         """
-        negligible = _NEGLIGIBLE * rms_torque
+        negligible = NEGLIGIBLE_SHARE * rms_torque
         has_structure = np.array([candidate.score > _STRUCTURED_SHARE for candidate in self.structure])
         has_slow_power = self.floor.slow_power_ratio > _SLOW_POWER
         is_above_noise = self.floor.residual > np.maximum(_NEAR_NOISE * self.floor.noise, negligible)
@@ -124,7 +124,7 @@ def _is_structure(screened: ScreenedProbe, current: LinearizedFit, joint: int, i
     """True if what a probe explains of a joint's residual is neither chance nor negligible."""
     explained_rms = np.sqrt(max(screened.gain, 0.0) / current.row_counts[:, joint].sum()) * current.noise[joint]
     is_significant = screened.gain > MIN_SIGNIFICANCE**2 * inflation
-    return bool(is_significant and explained_rms / current.rms_torque[joint] > _NEGLIGIBLE)
+    return bool(is_significant and explained_rms / current.rms_torque[joint] > NEGLIGIBLE_SHARE)
 
 
 def structured_noise_floor(current: LinearizedFit, structure: Sequence[Candidate], progress: Progress) -> NoiseFloor:

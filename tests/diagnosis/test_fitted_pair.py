@@ -121,7 +121,7 @@ def test_a_difference_below_the_error_of_the_simulators_model_needs_no_change(tm
     gap = pair.mean_squared_errors(())[0]
     for unexplained, reason in (
         (0.5 * gap, ""),
-        (2 * gap, "changes the torque by less than the error of the simulator's model on the simulator's own logs"),
+        (2 * gap, "changes the torque by less than the simulator's own logs leave unexplained"),
     ):
         changes, changed = _changes(pair, np.array([unexplained, 0.0]))
         (change,) = [change for change in changes if change.effect == "end_stop"]
