@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco  # type: ignore[import-untyped]
@@ -285,14 +286,51 @@ def test_while_friction_holds_the_link_in_the_play_the_motor_does_not_overcome_i
     assert (with_play < 0.4 * without).all()
 
 
-def gears(build: Build, *entries: dict[str, Any]) -> dict[int, Transmission]:
-    """What entries make of a joint with the lift's motor."""
+class HeldLink:
+    """What a play asks of the model of a link that friction holds, while its motor turns back and forth."""
+
+    def __init__(self, velocity: Array) -> None:
+        self._dry_friction = 2.0 * np.sign(velocity)
+
+    def friction_torque(self, joint: int) -> Array:
+        return self._dry_friction
+
+    def dry_friction(self, joint: int) -> tuple[Array, Array]:
+        return self._dry_friction, np.full(len(self._dry_friction), 2.0)
+
+    def link_load(self, motion: Any, joint: int) -> tuple[Array, Array]:
+        return self._dry_friction + 0.5, np.full(len(self._dry_friction), 0.1)
+
+
+def test_only_when_the_teeth_may_have_met_is_a_slow_crossing_left_out(build: Build) -> None:
+    """At 3 widths per second, a third of a second after the reversal, the uncertainty is about 15 % of the width."""
+    t = np.arange(3000) / RATE
+    reversal = 1.5
+    velocity = np.where(t < reversal, 3 * WIDTH, -3 * WIDTH)
+    motion: Any = SimpleNamespace(t=t, q=np.zeros((1, len(t))), v=velocity[None], dt=1 / RATE)
+    model: Any = HeldLink(velocity)
+    play = effect_types()["backlash"](lift(build), 0, {"width": WIDTH, "motor_friction": 0.0})
+    play.set_operating_point(lambda motion: model, np.zeros(0))
+    mask = play.invalid_mask(motion)[0]
+    since = t - reversal
+    assert not mask[(since > 0.05) & (since < 0.25)].any()
+    assert mask[(since > 0.29) & (since < 0.38)].all()
+    assert not mask[since > 0.45].any()
+
+
+def lift(build: Build) -> RobotModel:
+    """A joint with the lift's motor."""
     text = (
         '<robot name="r"><link name="turret"/><link name="l1"/><joint name="lift" type="revolute">'
         '<parent link="turret"/><child link="l1"/><axis xyz="0 1 0"/>'
         '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
     )
-    model = build(text, ["lift"], rotors=rotor("lift", MOTOR))
+    return build(text, ["lift"], rotors=rotor("lift", MOTOR))
+
+
+def gears(build: Build, *entries: dict[str, Any]) -> dict[int, Transmission]:
+    """What entries make of a joint with the lift's motor."""
+    model = lift(build)
     effects = [effect_types()[e["effect"]](model, 0, e["parameters"]) for e in entries]
     return LinearModel(("lift",), tuple(effects)).mechanism(model, np.zeros(0)).transmissions
 
