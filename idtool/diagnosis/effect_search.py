@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -42,7 +42,7 @@ from idtool.diagnosis.model_selection import (
 from idtool.diagnosis.quiet_joints import are_all_quiet
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN, joints_clearer_away_from_reversals
 from idtool.diagnosis.screen import sum_standard_error
-from idtool.diagnosis.selection_round import Bursts, find_best_effect, fit_assumed_effect
+from idtool.diagnosis.selection_round import MAX_FULL_FITS, Bursts, find_best_effect, fit_assumed_effect
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import FAILURES, failure_reason, has_fixed_inertia, with_effects
 from idtool.diagnosis.unproven import find_unproven
@@ -54,6 +54,26 @@ from idtool.robot.config import EffectEntry
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
 _MAX_REPLACEMENTS = 3
 _MIN_REPLACEMENT_GAIN = 2.0  # standard errors by which a model must be better to replace another
+
+
+_Replaced = tuple[AddedEffect, ...]
+_RivalsOf = dict[AddedEffect, frozenset[ProbeKey]]
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """Attempt to replace effects.
+
+    Attributes
+    ----------
+    is_better
+        True if the model is better with another effect in their place.
+    rivals
+        Candidates that may explain as much as they do; None if they are not known, or if they explain nothing.
+    """
+
+    is_better: bool = False
+    rivals: frozenset[ProbeKey] | None = None
 
 
 class _TimeLimitError(Exception):
@@ -403,38 +423,95 @@ class EffectSearch:
         for _ in range(_MAX_REPLACEMENTS):
             if len(self.reported) < 2:
                 return
-            is_replaced = self._replace_one() or self._replace_two()
-            if not is_replaced:
+            rivals = self._rivals_when_found()
+            if not self._replace_one(rivals) and not self._replace_two(rivals):
                 return
 
-    def _replace_one(self) -> bool:
-        """Replace an effect by one that explains more; False if none does, as where all joints are quiet."""
+    def _replace_one(self, rivals: _RivalsOf) -> bool:
+        """Replace an effect by one that explains more; False if none does, as where all joints are quiet.
+
+        Parameters
+        ----------
+        rivals
+            Rivals of effects beside all others, as far as they are known; those that are found are added.
+        """
         if are_all_quiet(self.current, self.progress):
             return False
-        return self._replace_first([(effect,) for effect in self._replaceable])
+        choices = self._without_known_rivals(rivals)
+        attempts = self._attempts(choices)
+        rivals.update(_rivals_found(choices, attempts))
+        return self._replace_first(choices, attempts)
 
-    def _replace_two(self) -> bool:
-        """Replace two effects by one that explains as much; False if none does."""
-        return self._replace_first(list(combinations(self._replaceable, 2)))
+    def _replace_two(self, rivals: _RivalsOf) -> bool:
+        """Replace two effects by one that explains as much, and so is a rival of each of them; False if none does.
+
+        Parameters
+        ----------
+        rivals
+            As for `_replace_one`.
+        """
+        pairs = self._pairs_with_common_rival(rivals)
+        unknown = self._without_known_rivals(rivals)
+        if len(pairs) > len(unknown):  # it takes less time to screen their rivals first
+            rivals.update(_rivals_found(unknown, self._attempts(unknown, max_fits=0)))
+            pairs = self._pairs_with_common_rival(rivals)
+        return self._replace_first(pairs, self._attempts(pairs))
 
     @property
     def _replaceable(self) -> list[AddedEffect]:
         """The effects that another one may replace: those that the user did not give."""
         return [effect for effect in self.reported if not effect.is_assumed]
 
-    def _replace_first(self, choices: Sequence[tuple[AddedEffect, ...]]) -> bool:
-        """Replace the first of several sets of effects for which another one is better; False if there is none."""
-        choices = [replaced for replaced in choices if not self._would_be_found_again(replaced)]
-        shares = interleaved_shares(len(choices))
+    def _rivals_when_found(self) -> _RivalsOf:
+        """Rivals of each effect that was found beside the same others as it has now."""
+        found_beside_others = [effect for effect in self._replaceable if self._would_be_found_again([effect])]
+        return {effect: effect.selection.rivals for effect in found_beside_others}
 
-        def first_replaceable(share: range, progress: Progress) -> int | None:
+    def _without_known_rivals(self, rivals: _RivalsOf) -> list[_Replaced]:
+        """Each effect whose rivals are not known."""
+        return [(effect,) for effect in self._replaceable if effect not in rivals]
+
+    def _pairs_with_common_rival(self, rivals: _RivalsOf) -> list[_Replaced]:
+        """Pairs of effects that may have a rival in common, as far as rivals are known; none that is found again."""
+        pairs: list[_Replaced] = []
+        for pair in combinations(self._replaceable, 2):
+            known = [rivals[effect] for effect in pair if effect in rivals]
+            common = frozenset[ProbeKey].intersection(*known) if known else frozenset()
+            subjects = _subjects([effect.entry for effect in pair])
+            may_be_replaced = not known or any(key[:2] not in subjects for key in common)
+            if may_be_replaced and not self._would_be_found_again(pair):
+                pairs.append(pair)
+        return pairs
+
+    def _attempts(self, choices: Sequence[_Replaced], max_fits: int = MAX_FULL_FITS) -> list[_Attempt]:
+        """Attempts to replace each of several sets of effects, until one makes the model better.
+
+        Parameters
+        ----------
+        choices
+            The sets of effects.
+        max_fits
+            Number of candidates that are fitted in place of each set at most; 0 if only the rivals are wanted.
+        """
+
+        def attempts_of(share: range, progress: Progress) -> dict[int, _Attempt]:
             self._report_progress = progress  # a copy of this process has its own
-            return next((i for i in share if self._is_replaceable(choices[i])), None)
+            attempts: dict[int, _Attempt] = {}
+            for i in share:
+                attempts[i] = self._attempt(choices[i], max_fits)
+                if attempts[i].is_better:
+                    break
+            return attempts
 
-        replaceable = [i for i in in_processes(first_replaceable, shares, self._report_progress) if i is not None]
-        if not replaceable:
-            return False
-        return self._replace(choices[min(replaceable)])  # once more, since a copy cannot send its model
+        attempts: dict[int, _Attempt] = {}
+        for attempts_of_share in in_processes(attempts_of, interleaved_shares(len(choices)), self._report_progress):
+            attempts.update(attempts_of_share)
+        return [attempts.get(i, _Attempt()) for i in range(len(choices))]
+
+    def _replace_first(self, choices: Sequence[_Replaced], attempts: Sequence[_Attempt]) -> bool:
+        """Replace the first of several sets of effects for which another one is better; False if there is none."""
+        better = [choice for choice, attempt in zip(choices, attempts, strict=True) if attempt.is_better]
+        return bool(better) and self._replace(better[0])  # once more, since a copy cannot send its model
 
     def _would_be_found_again(self, replaced: Sequence[AddedEffect]) -> bool:
         """True if a search without some effects would find one of them again.
@@ -452,17 +529,17 @@ class EffectSearch:
                 return True
         return False
 
-    def _is_replaceable(self, replaced: Sequence[AddedEffect]) -> bool:
-        """True if the model is better with another effect in place of some."""
+    def _attempt(self, replaced: _Replaced, max_fits: int) -> _Attempt:
+        """Attempt to replace effects; the model stays as it is."""
         before = self.model.state()
-        is_better = self._add_in_place_of(replaced)
+        attempt = self._add_in_place_of(replaced, max_fits)
         self.model.restore(before)
-        return is_better
+        return attempt
 
-    def _replace(self, replaced: Sequence[AddedEffect]) -> bool:
+    def _replace(self, replaced: _Replaced) -> bool:
         """Replace effects by the one that explains most without them, if the model is better with it."""
         before = self.model.state()
-        if not self._add_in_place_of(replaced):
+        if not self._add_in_place_of(replaced, MAX_FULL_FITS).is_better:
             self.model.restore(before)
             return False
         by = self.added[-1].chosen
@@ -470,14 +547,15 @@ class EffectSearch:
         self._keep_as_complete()
         return True
 
-    def _add_in_place_of(self, replaced: Sequence[AddedEffect]) -> bool:
-        """Add another effect in place of some; False if none is better, and the caller has to restore the model."""
+    def _add_in_place_of(self, replaced: _Replaced, max_fits: int) -> _Attempt:
+        """Add another effect in place of some; if the model is not better, the caller has to restore it."""
         before = self.current
         self.model.drop(replaced)
         try:
             self.model.refit_coefficients()  # the screening has the nonlinear parameters free, to first order
             without = self.current
             other = linearize_fit(before.experiment, self.progress, without)
+            explained_joints = _joints_as_well_explained(without, other)
             selection = find_best_effect(
                 without,
                 self.initial,
@@ -485,19 +563,22 @@ class EffectSearch:
                 self._effects,
                 self._unexplained_bursts,
                 movable=self.model.movable,
-                explained_joints=_joints_as_well_explained(without, other),
+                explained_joints=explained_joints,
                 replaced_gain=float(block_gains(without, other).sum()),
+                max_fits=max_fits,
             )
         except FAILURES:
-            return False
+            return _Attempt()
         winner = selection.winner
-        if winner is None or not is_reportable(winner.probe.effect):
-            return False
-        if probe_target(winner.probe) in {(effect.chosen.effect, effect.chosen.target) for effect in replaced}:
-            return False
-        if self._try_add(selection, winner):
-            return False
-        return self._is_better(other, without, is_simpler=len(replaced) > 1)
+        is_better = (
+            winner is not None
+            and is_reportable(winner.probe.effect)
+            and probe_target(winner.probe) not in {(effect.chosen.effect, effect.chosen.target) for effect in replaced}
+            and not self._try_add(selection, winner)
+            and self._is_better(other, without, is_simpler=len(replaced) > 1)
+        )
+        explain_nothing = len(explained_joints) == without.joint_count
+        return _Attempt(is_better, None if explain_nothing else selection.rivals)
 
     def _is_better(self, other: LinearizedFit, without: LinearizedFit, is_simpler: bool) -> bool:
         """True if the present model explains significantly more than another one; if simpler, not significantly less.
@@ -645,6 +726,11 @@ def _joints_as_well_explained(without: LinearizedFit, other: LinearizedFit) -> l
     """Joints whose squared residual is hardly larger than that of another model on the same rows."""
     is_alike = without.mean_squared_residual < other.mean_squared_residual / (1 - MIN_SHARE)
     return [without.experiment.equation.joints[j] for j in np.flatnonzero(is_alike)]
+
+
+def _rivals_found(choices: Sequence[_Replaced], attempts: Sequence[_Attempt]) -> _RivalsOf:
+    """Rivals of single effects, of those whose attempt found them."""
+    return {effect: one.rivals for (effect,), one in zip(choices, attempts, strict=True) if one.rivals is not None}
 
 
 def _subjects(entries: Sequence[EffectEntry]) -> list[tuple[str, str]]:

@@ -9,7 +9,7 @@ gain by chance is that many times larger than with independent rows.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,11 +108,14 @@ class FullFits:
         Records of those that turned out to be no explanation, with reasons.
     failed
         Records of those that could not be fitted, with reasons.
+    gains
+        Gain of each candidate that could be fitted.
     """
 
     finalists: Sequence[FittedCandidate]
     rejected: Sequence[Candidate]
     failed: Sequence[Candidate]
+    gains: Mapping[ProbeKey, float]
 
 
 @dataclass(frozen=True)
@@ -140,6 +143,9 @@ class SelectionStep:
         winner, so that no pair is needed, and if none was tried.
     has_tried
         False if all joints are quiet, so that no candidate was tried.
+    rivals
+        Candidates that may explain as much as the winner or, if effects are to be replaced, as these. What was not
+        screened may.
     """
 
     base: LinearizedFit
@@ -151,6 +157,7 @@ class SelectionStep:
     failed: tuple[Candidate, ...] = ()
     screening: Screening | None = None
     has_tried: bool = True
+    rivals: frozenset[ProbeKey] = frozenset()
 
     def alternatives(self) -> tuple[Candidate, ...]:
         """Records of the finalists that compete with the winner, the best first."""

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
@@ -56,7 +56,7 @@ _STARTS_ON_GRID = 3  # probes about which the grid is refined, of a candidate wh
 _REFINEMENTS = 2  # passes, since the best value of a parameter depends on that of another
 _REFINEMENT_POINTS = 7  # values that are screened again between the neighbours of a value in the grid
 _POINTS_IF_COMBINED = 5  # of each parameter, where several are changed together
-_MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, including those that are then rejected
+MAX_FULL_FITS = 5  # candidates that are fitted with the whole model, including those that are then rejected
 _MIN_GAIN_RATIO = 0.4  # to the gain of the best accepted candidate, for a candidate to be fitted
 _MIN_FIRST_ORDER_GAIN_RATIO = 0.2  # likewise, where a fit may explain much more than the screening
 
@@ -73,10 +73,11 @@ def find_best_effect(
     effects: Sequence[str] | None,
     find_bursts: Callable[[], Bursts] = _no_bursts,
     min_share: float = MIN_SHARE,
-    skipped: Container[ProbeKey] = (),
+    skipped: Collection[ProbeKey] = (),
     movable: Sequence[int] = (),
     explained_joints: Collection[str] = (),
     replaced_gain: float = 0.0,
+    max_fits: int = MAX_FULL_FITS,
 ) -> SelectionStep:
     """One round of the search: the effect that explains most of a model's residual.
 
@@ -105,6 +106,8 @@ def find_best_effect(
         Joints that need no effect in place of those that it is to replace.
     replaced_gain
         Gain of the effects that it is to replace. Candidates that promise much less are not fitted.
+    max_fits
+        Number of candidates that are fitted with the whole model at most, including those that are then rejected.
     """
     quiet = quiet_joints(base, progress)
     if quiet.issuperset(base.experiment.equation.joints):
@@ -123,9 +126,14 @@ def find_best_effect(
     refined = _refine(reference, screening.screened, progress)
     candidates = [candidate for candidate in refined if _may_replace(candidate, replaced_gain, explained_joints)]
     fits = _fit_best_candidates(
-        base, initial, candidates, summary, screening.inflation, movable, replaced_gain, progress
+        base, initial, candidates, summary, screening.inflation, movable, replaced_gain, max_fits, progress
     )
-    return select_best(base, screening, fits, movable, progress, min_share)
+    selection = select_best(base, screening, fits, movable, progress, min_share)
+    gain = replaced_gain
+    if selection.winner is not None and not replaced_gain:
+        gain = selection.winner.gain
+    rivals = _rivals(candidates, fits.gains, gain)
+    return replace(selection, rivals=rivals.union(skipped))
 
 
 def _screen_all(
@@ -196,6 +204,7 @@ def _fit_best_candidates(
     inflation: float,
     movable: Sequence[int],
     replaced_gain: float,
+    max_fits: int,
     progress: Progress,
 ) -> FullFits:
     """Candidates fitted with the whole model, until their gain is due to chance or far below that of an accepted one.
@@ -214,6 +223,8 @@ def _fit_best_candidates(
         Indices of the model's effects whose nonlinear parameters may be moved.
     replaced_gain
         Gain of the effects that one of them is to replace.
+    max_fits
+        Number of candidates that are fitted at most.
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
@@ -230,8 +241,9 @@ def _fit_best_candidates(
             return failure
         return _Judged(trial_to_bytes(fitted.trial), fitted.gains, rejection_reason)
 
+    gains: dict[ProbeKey, float] = {}
     best_gain = 0.0
-    waiting = _by_gain(significant)[:_MAX_FULL_FITS]
+    waiting = _by_gain(significant)[:max_fits]
     while waiting:
         # Those after the first may turn out not to be needed; a core that has nothing else to do fits them anyway.
         together = waiting[: process_count()]
@@ -241,7 +253,9 @@ def _fit_best_candidates(
                 continue
             if isinstance(judged, Exception):
                 failed.append(screened_record(candidate, base, not_fitted_reason(judged)))
-            elif judged.rejection_reason:
+                continue
+            gains[probe_key(candidate.probe)] = float(judged.gains.sum())
+            if judged.rejection_reason:
                 rejected.append(screened_record(candidate, base, judged.rejection_reason))
             else:
                 trial = trial_from_bytes(judged.trial, base)
@@ -249,7 +263,7 @@ def _fit_best_candidates(
                 best_gain = max(best_gain, candidate.gain)
         waiting = [candidate for candidate in waiting if candidate.gain >= _min_gain_ratio(candidate) * best_gain]
     finalists.sort(key=lambda finalist: -finalist.gain)
-    return FullFits(finalists, rejected, failed)
+    return FullFits(finalists, rejected, failed, gains)
 
 
 def _significant_candidates(
@@ -303,7 +317,7 @@ def _min_gain_ratio(candidate: ScreenedProbe) -> float:
     return _MIN_FIRST_ORDER_GAIN_RATIO if is_first_order else _MIN_GAIN_RATIO
 
 
-def _may_replace(candidate: ScreenedProbe, replaced_gain: float, explained_joints: Collection[str]) -> bool:
+def _may_replace(candidate: ScreenedProbe, replaced_gain: float, explained_joints: Collection[str] = ()) -> bool:
     """True if the fit of a candidate may explain as much as the effects that it is to replace.
 
     Parameters
@@ -322,6 +336,31 @@ def _may_replace(candidate: ScreenedProbe, replaced_gain: float, explained_joint
     is_gain_reliable = acts_on_own_joint_alone or issubclass(kind, LinkEffect)
     min_ratio = MIN_REPLACING_GAIN_RATIO if is_gain_reliable else _min_gain_ratio(candidate)
     return candidate.gain > min_ratio * replaced_gain
+
+
+def _rivals(
+    candidates: Iterable[ScreenedProbe], fitted_gains: Mapping[ProbeKey, float], gain: float
+) -> frozenset[ProbeKey]:
+    """Candidates that may explain as much as effects with a given gain; of those that were fitted, those that do.
+
+    Parameters
+    ----------
+    candidates
+        The candidates.
+    fitted_gains
+        Gains of those that were fitted.
+    gain
+        Gain of the effects.
+    """
+    rivals = set()
+    for candidate in candidates:
+        key = probe_key(candidate.probe)
+        is_fitted = key in fitted_gains
+        if is_fitted and fitted_gains[key] > MIN_REPLACING_GAIN_RATIO * gain:
+            rivals.add(key)
+        if not is_fitted and _may_replace(candidate, gain):
+            rivals.add(key)
+    return frozenset(rivals)
 
 
 def _without_cancelled_noise(candidate: ScreenedProbe, base: LinearizedFit) -> ScreenedProbe:

@@ -84,6 +84,19 @@ def entries_in_model(search: EffectSearch) -> list[tuple[str, str | None]]:
     return [(entry.effect, entry.joint) for entry in given if entry.joint is not None]
 
 
+def record_searched(monkeypatch: pytest.MonkeyPatch) -> list[list[tuple[str, str | None]]]:
+    """List to which each round adds the effects of its model."""
+    searched = []
+    inner = effect_search.find_best_effect
+
+    def find_best_effect(base: LinearizedFit, *others: Any, **options: Any) -> Any:
+        searched.append([(entry.effect, entry.joint) for entry in base.experiment.config.effects if entry.joint])
+        return inner(base, *others, **options)
+
+    monkeypatch.setattr(effect_search, "find_best_effect", find_best_effect)
+    return searched
+
+
 def test_an_effect_gives_way_to_one_that_explains_more(tmp_path: Path) -> None:
     """Viscous friction in place of dry friction, and nothing in place of the offset that is there."""
     experiment = experiment_of(tmp_path, together(dry_friction, offset), rows=slice(8000))
@@ -106,11 +119,36 @@ def test_two_effects_give_way_to_one_that_explains_as_much(tmp_path: Path) -> No
     effects = ("parallel_spring", "torque_offset", "end_stop")
     search = search_with(experiment, [("torque_offset", "j1"), ("end_stop", "j1")], effects)
     as_if_found(search)
-    assert search._replace_two()
+    assert search._replace_two({})
     assert owners(search) == entries_in_model(search) == [SPRING]
     assert [sentence.split(",")[0] for sentence in search.removed] == [
         f"{effect} on j1 was replaced by parallel spring on j1" for effect in ("Torque offset", "End stop")
     ]
+
+
+@pytest.mark.parametrize("max_fits", [0, selection_round.MAX_FULL_FITS])
+def test_what_two_effects_stand_for_is_a_rival_of_what_explains_something(tmp_path: Path, max_fits: int) -> None:
+    experiment = experiment_of(tmp_path, spring, rows=slice(8000))
+    effects = ("parallel_spring", "torque_offset", "end_stop")
+    search = search_with(experiment, [("torque_offset", "j1"), ("end_stop", "j1")], effects)
+    as_if_found(search)
+    beside_stop, beside_offset = search._attempts([(effect,) for effect in search.added], max_fits)
+    assert beside_stop.rivals is None  # beside the stop, the offset explains nothing that anything could replace
+    assert beside_offset.rivals is not None
+    assert SPRING in {key[:2] for key in beside_offset.rivals}
+
+
+def test_two_effects_without_a_common_rival_are_not_replaced_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = experiment_of(tmp_path, together(spring, offset), rows=slice(8000))
+    search = search_with(experiment, [SPRING, OFFSET], ("parallel_spring", "torque_offset", "viscous_friction"))
+    as_if_found(search)
+    monkeypatch.setattr(processes, "process_count", lambda: 1)
+    monkeypatch.setattr(effect_search, "are_all_quiet", lambda *arguments: False)
+    searched = record_searched(monkeypatch)
+    search._replace_effects()
+    assert searched == [[OFFSET], [SPRING]]
 
 
 def test_what_the_user_assumes_stays(tmp_path: Path) -> None:
@@ -133,15 +171,8 @@ def test_what_was_found_beside_the_same_effects_is_not_searched_for_again(
     search = EffectSearch(experiment, ("parallel_spring", "torque_offset"), 4, silent)
     search._add_effects()
     assert len(owners(search)) == 2
-    searched = []
-    inner = effect_search.find_best_effect
-
-    def find_best_effect(base: LinearizedFit, *others: Any, **options: Any) -> Any:
-        searched.append([(entry.effect, entry.joint) for entry in base.experiment.config.effects if entry.joint])
-        return inner(base, *others, **options)
-
-    monkeypatch.setattr(effect_search, "find_best_effect", find_best_effect)
-    search._replace_one()
+    searched = record_searched(monkeypatch)
+    search._replace_one(search._rivals_when_found())
     assert searched == []  # where only noise is left, nothing explains more
     monkeypatch.setattr(effect_search, "are_all_quiet", lambda *arguments: False)
     search._replace_effects()
@@ -566,8 +597,8 @@ def test_an_optional_parameter_without_which_the_held_out_error_is_smaller_is_le
 def test_two_effects_that_are_there_stay(tmp_path: Path) -> None:
     search = search_with(experiment_of(tmp_path, together(spring, offset), rows=slice(8000)), [SPRING, OFFSET])
     before = search.current
-    assert not search._replace_one()
-    assert not search._replace_two()
+    assert not search._replace_one(search._rivals_when_found())
+    assert not search._replace_two({})
     assert search.current is before
     assert owners(search) == [SPRING, OFFSET]
     assert not search.removed
