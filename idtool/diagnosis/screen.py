@@ -670,7 +670,9 @@ def _solve(A: Array, P: Array, h: Array, CC: Array, y0: Array) -> tuple[Array, A
     squares = np.einsum("ikk->ik", CC)
     size = np.sqrt(np.where(squares > _ROUNDING, squares, np.inf))
     values, vectors = np.linalg.eigh(schur / size[:, :, None] / size[:, None, :])
-    inverse = np.where(values > _MIN_NEW_SHARE, 1 / np.maximum(values, _MIN_NEW_SHARE), 0.0)
+    is_new = values > _MIN_NEW_SHARE
+    inverse = np.where(is_new, 1 / np.maximum(values, _MIN_NEW_SHARE), 0.0)
     scaled_score = (h - np.einsum("rik,r->ik", P, y0)) / size
     c = np.einsum("ikl,il,iml,im->ik", vectors, inverse, vectors, scaled_score, optimize=True) / size
-    return c, X, schur
+    new_share = np.einsum("ikl,il->ik", vectors**2, is_new)
+    return np.where(new_share > _MIN_NEW_SHARE, c, 0.0), X, schur

@@ -195,6 +195,14 @@ def test_what_the_model_can_make_itself_says_nothing(base: LinearizedFit) -> Non
     assert several.c[3] == 0
 
 
+def test_a_column_that_the_model_can_reproduce_has_no_coefficient_beside_another_one(base: LinearizedFit) -> None:
+    (both,) = screen_probes(
+        base, [joined_probe(made(viscous), made(lambda m, p: {1: np.cos(3 * m.q[1])[None]}))], silent
+    )
+    assert both.c[0] == both.covariance[0, 0] == 0
+    assert both.c[1] != 0
+
+
 def test_a_fit_on_the_rows_of_another_is_screened_on_these(base: LinearizedFit) -> None:
     """Coulomb friction on a joint, whose column is undefined at reversals; the other model has rows there."""
     friction = EffectEntry(effect="coulomb_friction", joint="lift", parameters={"coulomb": 0.1})
