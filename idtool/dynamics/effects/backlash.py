@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -23,34 +23,34 @@ from idtool.dynamics.mechanism import Mechanism, Transmission
 from idtool.robot.model import RobotModel
 
 _TEETH_DAMPING_RATIO = 0.5  # of motor and link against each other
-_MIN_WIDTH = 3e-4  # rad or m: what gears have
-_MAX_WIDTH = 0.12  # rad or m: what would be felt by hand
+_WIDTH_RANGE = (3e-4, 0.12)  # rad: from good gears to worn ones
+_PRISMATIC_WIDTH_RANGE = (1e-5, 1e-2)  # m: from ball screws to racks
 _WIDTH_COUNT = 6  # widths of the coarse grid; the search tries finer ones around the best
 _MOTOR_FRICTION_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MIN_COEFFICIENT = 0.25  # of the probe, ideally 1: a smaller one means that there is no backlash
 _MAX_COEFFICIENT = 3.0
-_WIDTH_BLUR = (0.85, 0.93, 1.0, 1.08, 1.17)  # factors of the width that are averaged
-_BLIP_SHARE = 0.85  # of a blip whose time is known to milliseconds: leaves the least residual on average
-_MIN_SPEED_APART = 4.0  # widths per second: slower, and the teeth have met
+_WIDTH_FACTORS = (0.85, 0.93, 1.0, 1.08, 1.17)  # of the given width, that are averaged
+_MIN_FAST_CROSSING = 4.0  # widths per second; slower crossings are predicted well between the contacts
 _IMPACT_DECAY = 0.02  # s
-_TEETH_LAG = 2e-3  # s: time constant of each of two low-passes, for the compliance of the teeth
+_TEETH_LAG = 2e-3  # s
 _MIN_INERTIA = 1e-9  # kg·m² or kg
-_MIN_STEPS = 32  # by which a path is continued
-_MAX_KEPT_MOTIONS = 8  # relative motions of a model
-_MIN_SQUARED_VELOCITY = 1e-9  # rad²/s² or m²/s², summed over a log: the joint rests
+_MIN_EXTENSION = 32  # samples
+_MAX_KEPT_MOTIONS = 8  # free motions of a model
+_MIN_SQUARED_VELOCITY = 1e-9  # rad²/s² or m²/s², summed over a batch: the joint rests
 
 
 class Backlash(FixedJointEffect):
     """Play of a width between the motor side, which is measured and driven, and the link side.
 
-    Where the joint has no `joint_elasticity`, the teeth are a spring on which motor and link would swing against each
-    other at 200 Hz, half critically damped: needs a rotor or `rotor_inertia` on the joint.
+    Without a `joint_elasticity` on the joint, the teeth of the forward model are a spring on which motor and link swing
+    against each other at 200 Hz, half critically damped. It needs a rotor or a `rotor_inertia` on the joint.
 
-    In the torque equation the link's motion is the measured one less the position of the motor within the play. While
-    the teeth are apart, the motor moves as measured and the link falls freely, so that the play closes with transmitted
-    torque / the link's inertia, both as the model without the play has them; where teeth meet they stay. Of friction,
-    ``motor_friction``, a share that may be left out, acts on the motor side, and is not transmitted; the rest acts on
-    the link at the link's own velocity. It slows the falling link down, or holds it where it is.
+    In the torque equation, the link's position is the measured one less the motor's position within the play. While the
+    teeth are separated, the motor moves as measured and the link moves freely: their relative acceleration is the
+    transmitted torque / the link's inertia, both from the model without the play, changed by the link's friction at its
+    own velocity. Where teeth meet, they stay. ``motor_friction`` is the share of the joint's friction on the motor
+    side, which is not transmitted; it may be left out, and is 0 then. The rest acts on the link: it slows the link
+    down, or holds it where it is. Friction other than Coulomb and Stribeck friction counts as viscous there.
     """
 
     id = "backlash"
@@ -67,7 +67,7 @@ class Backlash(FixedJointEffect):
     def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         super().__init__(model, joint, nonlinear_values)
         self._rigid_joint_model: Callable[[Motion], Linearization] | None = None
-        self._latest: tuple[Motion, _Play] | None = None  # a motion, and the play along it
+        self._latest: tuple[Motion, _PlayTrajectory] | None = None  # a motion, and the trajectory along it
 
     @classmethod
     @override
@@ -83,8 +83,10 @@ class Backlash(FixedJointEffect):
     @classmethod
     @override
     def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
+        is_prismatic = summary.model.joints[joint].kind == "prismatic"
+        smallest, largest = _PRISMATIC_WIDTH_RANGE if is_prismatic else _WIDTH_RANGE
         for share in _MOTOR_FRICTION_SHARES:
-            for width in geometric_grid(_MIN_WIDTH, _MAX_WIDTH, _WIDTH_COUNT):
+            for width in geometric_grid(smallest, largest, _WIDTH_COUNT):
                 yield {"width": width, "motor_friction": share}
 
     @classmethod
@@ -97,9 +99,9 @@ class Backlash(FixedJointEffect):
         motion: Motion,
         linearized: Linearization,
     ) -> Array:
-        """Total change of the torque by the play; its fitted coefficient should be 1."""
-        play = _play_along(motion, joint, nonlinear_values, linearized)
-        return _torque_change(play, motion.dt, joint, linearized)
+        """Correction of the rigid joint's torque for the play; its fitted coefficient should be 1."""
+        trajectory = _mean_trajectory(motion, joint, nonlinear_values, linearized)
+        return _torque_correction(trajectory, joint, linearized)
 
     @classmethod
     @override
@@ -116,25 +118,24 @@ class Backlash(FixedJointEffect):
         if self._rigid_joint_model is None:
             return None
         model = self._rigid_joint_model(motion)
-        return _torque_change(self._play(motion, model), motion.dt, self.joint, model)
+        return _torque_correction(self._trajectory(motion, model), self.joint, model)
 
     @override
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
-        """Samples while the teeth fly apart, may have met, or have just met, on all joints that this shakes."""
+        """Samples within 20 ms of a fast crossing of the play or of an uncertain contact, the same for all joints."""
         if self._rigid_joint_model is None:
             return {}
-        play = self._play(motion, self._rigid_joint_model(motion))
-        speed = np.abs(np.gradient(play.motor_position, motion.dt))
-        fly_apart = speed > _MIN_SPEED_APART * self.nonlinear_values["width"]
-        may_touch = (play.apart_share > 0) & (play.apart_share < 1)
+        trajectory = self._trajectory(motion, self._rigid_joint_model(motion))
+        crosses_fast = np.abs(trajectory.motor_velocity) > _MIN_FAST_CROSSING * self.nonlinear_values["width"]
+        contact_is_uncertain = (trajectory.separated_share > 0) & (trajectory.separated_share < 1)
         reach = max(round(_IMPACT_DECAY / motion.dt), 1)
-        mask = ndimage.binary_dilation(fly_apart | may_touch, iterations=reach)
+        mask = ndimage.binary_dilation(crosses_fast | contact_is_uncertain, iterations=reach)
         return dict.fromkeys(range(len(motion.q)), mask)
 
-    def _play(self, motion: Motion, model: Linearization) -> _Play:
-        """Play along a motion; the latest is kept."""
+    def _trajectory(self, motion: Motion, model: Linearization) -> _PlayTrajectory:
+        """Trajectory within the play along a motion; the latest is kept."""
         if self._latest is None or self._latest[0] is not motion:
-            self._latest = motion, _play_along(motion, self.joint, self.nonlinear_values, model)
+            self._latest = motion, _mean_trajectory(motion, self.joint, self.nonlinear_values, model)
         return self._latest[1]
 
     @override
@@ -148,74 +149,82 @@ class Backlash(FixedJointEffect):
 
 
 @dataclass(frozen=True)
-class _Play:
-    """Play along a motion.
+class _PlayTrajectory:
+    """Motion of the motor within the play.
 
     Attributes
     ----------
     motor_position
         Position of the motor within the play, in [−width/2, width/2], shape (N,) [rad or m].
-    friction_change
+    link_friction_correction
         Friction of the link at its own velocity less that at the motor's, shape (N,) [N·m or N].
-    apart_share
-        Share of the widths with which the teeth are apart, shape (N,).
+    separated_share
+        Share of the averaged widths with which the teeth are separated, shape (N,).
+    dt
+        Time between samples [s].
     """
 
     motor_position: Array
-    friction_change: Array
-    apart_share: Array
+    link_friction_correction: Array
+    separated_share: Array
+    dt: float
+
+    @property
+    def motor_velocity(self) -> Array:
+        """Velocity of the motor within the play, shape (N,) [rad/s or m/s]."""
+        return np.gradient(self.motor_position, self.dt)
 
 
-def _torque_change(play: _Play, dt: float, joint: int, linearized: Linearization) -> Array:
-    """Change of the predicted torque by the play, shape (nv, N); less than all, as a mistimed blip is worse.
+def _torque_correction(trajectory: _PlayTrajectory, joint: int, linearized: Linearization) -> Array:
+    """Correction of the torque of a model without the play for the play, shape (nv, N) [N·m or N].
 
     Parameters
     ----------
-    play
-        The play along the motion.
-    dt
-        Time between samples [s].
+    trajectory
+        The trajectory within the play along the motion.
     joint
         Index of the joint.
     linearized
         The model without the play.
     """
-    position = play.motor_position
-    velocity = np.gradient(position, dt)
-    acceleration = np.gradient(velocity, dt)
-    change = linearized.torque_change_by_motion(joint, -position, -velocity, -acceleration)
-    change[joint] += play.friction_change
-    return _BLIP_SHARE * change
+    velocity = trajectory.motor_velocity
+    acceleration = np.gradient(velocity, trajectory.dt)
+    correction = linearized.torque_change_by_motion(joint, -trajectory.motor_position, -velocity, -acceleration)
+    correction[joint] += trajectory.link_friction_correction
+    return correction
 
 
-def _play_along(motion: Motion, joint: int, nonlinear_values: Mapping[str, float], linearized: Linearization) -> _Play:
-    """Play along a motion: the mean over widths about the one given.
+def _mean_trajectory(
+    motion: Motion, joint: int, nonlinear_values: Mapping[str, float], linearized: Linearization
+) -> _PlayTrajectory:
+    """Trajectory within the play along a motion, averaged over widths from 0.85 to 1.17 of the given one.
 
-    Teeth give when they meet: two lags of 2 ms, as good as the spring of `add_to_forward_model`. When they meet is
-    known no better than to some milliseconds, and a blip that comes too early or too late explains less than none.
+    The time of contact is uncertain by milliseconds, and a mistimed transient leaves a larger residual than none:
+    averaging spreads it. Two first-order lags stand for the compliance of the teeth, as good as the spring of
+    `Backlash.add_to_forward_model`.
     """
-    relative = _relative_motion(motion, joint, nonlinear_values["motor_friction"], linearized)
-    width = nonlinear_values["width"]
-    plays = [_simulate_play(relative, factor * width) for factor in _WIDTH_BLUR]
-    motor_position = np.mean([play.motor_position for play in plays], axis=0)
-    friction_change = np.mean([play.friction_change for play in plays], axis=0)
-    return _Play(
+    free = _free_motion(motion, joint, nonlinear_values["motor_friction"], linearized)
+    trajectories = [_trajectory(free, factor * nonlinear_values["width"]) for factor in _WIDTH_FACTORS]
+    motor_position = np.mean([one.motor_position for one in trajectories], axis=0)
+    link_friction_correction = np.mean([one.link_friction_correction for one in trajectories], axis=0)
+    return _PlayTrajectory(
         motor_position=_with_teeth_lag(motor_position, motion.dt),
-        friction_change=_with_teeth_lag(friction_change, motion.dt),
-        apart_share=np.mean([play.apart_share for play in plays], axis=0),
+        link_friction_correction=_with_teeth_lag(link_friction_correction, motion.dt),
+        separated_share=np.mean([one.separated_share for one in trajectories], axis=0),
+        dt=motion.dt,
     )
 
 
 def _with_teeth_lag(x: Array, dt: float) -> Array:
-    """Series after two low-passes, shape (N,)."""
+    """Series after the two lags of the teeth, shape (N,)."""
     pole = np.exp(-dt / _TEETH_LAG)
     for _ in range(2):
         x = lfilter([1 - pole], [1, -pole], x, zi=[pole * x[0]])[0]
     return np.asarray(x)
 
 
-class _RelativeMotion:
-    """Motion of a joint's motor relative to its link while the teeth are apart, by the model without the play.
+class _FreeMotion:
+    """Motion of a joint's motor relative to its link while the teeth are separated, by the model without the play.
 
     Attributes
     ----------
@@ -249,64 +258,68 @@ class _RelativeMotion:
         inertia = np.maximum(inertia, _MIN_INERTIA)
         transmitted = load - motor_friction * friction
         without_dry_friction = transmitted - (1 - motor_friction) * dry_friction
+        link_dry_friction_level = (1 - motor_friction) * dry_friction_level
+        damping_divisor = 1 + link_viscosity / inertia * motion.dt  # of an implicit step, which is stable
         self.dt = motion.dt
         self.sample_count = len(velocity)
         self.driven_up: list[int] = np.flatnonzero(transmitted > 0).tolist()
         self.driven_down: list[int] = np.flatnonzero(transmitted < 0).tolist()
         self._transmitted = transmitted.tolist()
-        self._inertia_per_time_step = (inertia / self.dt).tolist()
-        # changes of the relative velocity from sample to sample
-        self._velocity_change = (without_dry_friction / inertia * self.dt).tolist()
-        self._damping_divisor = (1 + link_viscosity / inertia * self.dt).tolist()
-        self._max_friction_velocity_change = ((1 - motor_friction) * dry_friction_level / inertia * self.dt).tolist()
+        self._inertia = inertia.tolist()
+        self._damping_divisor = damping_divisor.tolist()
+        self._velocity_increment = (without_dry_friction / inertia * motion.dt).tolist()
+        self._max_dry_friction_increment = (link_dry_friction_level / inertia * motion.dt / damping_divisor).tolist()
         self._motor_velocity = velocity.tolist()
-        self._paths: dict[int, _Path] = {}  # by the sample at which the teeth part
+        self._paths: dict[int, _FreePath] = {}  # by the sample at which the teeth separate
 
-    def path_until_contact(self, separation: int, side: int, width: float) -> tuple[list[float], list[float]]:
-        """Displacement of the motor relative to the link from separation to contact, and change of the link's friction.
+    def until_contact(self, separation: int, width: float) -> tuple[list[float], list[float]]:
+        """Free motion from a separation of the teeth to their contact or, without one, to the last sample.
 
-        Without contact, to the last sample. The width only says where a path ends: plays of all widths share it.
+        A width only decides where the motion ends: all widths share one simulation.
 
         Parameters
         ----------
         separation
-            Sample at which the teeth part.
-        side
-            1 or −1: the end of the play at which they part.
+            Sample at which the teeth separate.
         width
             Width of the play [rad or m].
-        """
-        path = self._paths.get(separation)
-        if path is None:
-            path = self._paths[separation] = _Path([], [], [], 0.0, is_complete=False)
-        while True:
-            contact = bisect_left(path.largest_depths, width)
-            if contact < len(path.largest_depths) or path.is_complete:
-                return path.displacements[: contact + 1], path.friction_changes[: contact + 1]
-            self._continue(path, separation, side)
 
-    def _continue(self, path: _Path, separation: int, side: int) -> None:
-        """Continue a path to about twice its length, at most to where the teeth meet where they parted."""
+        Returns
+        -------
+        At each sample from the separation on: displacement of the motor relative to the link [rad or m], and friction
+        of the link at its own velocity less that at the motor's [N·m or N].
+        """
+        path = self._paths.setdefault(separation, _FreePath())
+        while True:
+            contact = bisect_left(path.farthest_travels, width)
+            if contact < len(path.farthest_travels) or path.is_complete:
+                return path.displacements[: contact + 1], path.link_friction_corrections[: contact + 1]
+            self._extend(path, separation)
+
+    def _extend(self, path: _FreePath, separation: int) -> None:
+        """Extend a path to about twice its length, at most to where the teeth meet on the side that they left."""
+        direction = 1 if self._transmitted[separation] > 0 else -1  # in which the motor is driven away
         displacement = path.displacements[-1] if path.displacements else 0.0
-        depth = path.largest_depths[-1] if path.largest_depths else 0.0
+        farthest_travel = path.farthest_travels[-1] if path.farthest_travels else 0.0
         velocity = path.velocity
         first = separation + len(path.displacements)
-        last = min(first + max(len(path.displacements), _MIN_STEPS), self.sample_count)
+        last = min(first + max(len(path.displacements), _MIN_EXTENSION), self.sample_count)
         for k in range(first, last):
             previous_velocity = velocity
-            damped_velocity = (velocity + self._velocity_change[k]) / self._damping_divisor[k]
+            damped_velocity = (velocity + self._velocity_increment[k]) / self._damping_divisor[k]
             # Dry friction slows the link down, at most to rest.
             link_velocity = self._motor_velocity[k] - damped_velocity
-            max_change = self._max_friction_velocity_change[k]
-            velocity = damped_velocity + min(max(link_velocity, -max_change), max_change)
-            # No torque is transmitted, so what does not accelerate the link is friction.
-            accelerating_torque = self._inertia_per_time_step[k] * (velocity - previous_velocity)
-            path.friction_changes.append(accelerating_torque - self._transmitted[k])
+            max_increment = self._max_dry_friction_increment[k]
+            velocity = damped_velocity + min(max(link_velocity, -max_increment), max_increment)
+            # No torque is transmitted: what does not accelerate the link is friction.
+            net_torque = self._inertia[k] * (velocity - previous_velocity) / self.dt
+            path.link_friction_corrections.append(net_torque - self._transmitted[k])
             displacement += velocity * self.dt
-            depth = max(depth, -side * displacement)
+            travel = direction * displacement
+            farthest_travel = max(farthest_travel, travel)
             path.displacements.append(displacement)
-            path.largest_depths.append(depth)
-            if -side * displacement <= 0:
+            path.farthest_travels.append(farthest_travel)
+            if travel <= 0:
                 path.is_complete = True
                 return
         path.velocity = velocity
@@ -314,74 +327,67 @@ class _RelativeMotion:
 
 
 @dataclass
-class _Path:
-    """Motion of a motor relative to its link from where the teeth part.
+class _FreePath:
+    """Free motion of a motor relative to its link, from a separation of the teeth on.
 
     Attributes
     ----------
     displacements
         Displacement at each sample [rad or m].
-    friction_changes
+    link_friction_corrections
         Friction of the link at its own velocity less that at the motor's, at each sample [N·m or N].
-    largest_depths
-        Largest displacement into the play so far, ascending [rad or m].
+    farthest_travels
+        Farthest travel into the play so far, at each sample, ascending [rad or m].
     velocity
         Relative velocity at the last sample [rad/s or m/s].
     is_complete
-        True if the teeth meet again on the same side at the last sample, or the data end there.
+        True if the teeth meet again on the side that they left at the last sample, or the data end there.
     """
 
-    displacements: list[float]
-    friction_changes: list[float]
-    largest_depths: list[float]
-    velocity: float
-    is_complete: bool
+    displacements: list[float] = field(default_factory=list)
+    link_friction_corrections: list[float] = field(default_factory=list)
+    farthest_travels: list[float] = field(default_factory=list)
+    velocity: float = 0.0
+    is_complete: bool = False
 
 
-_relative_motions: WeakKeyDictionary[Linearization, dict[tuple[int, float], _RelativeMotion]] = WeakKeyDictionary()
+_free_motions: WeakKeyDictionary[Linearization, dict[tuple[int, float], _FreeMotion]] = WeakKeyDictionary()
 
 
-def _relative_motion(motion: Motion, joint: int, motor_friction: float, linearized: Linearization) -> _RelativeMotion:
-    """Relative motion of a joint's motor and link; the latest are kept for each model, since all widths share them."""
-    kept = _relative_motions.setdefault(linearized, {})
+def _free_motion(motion: Motion, joint: int, motor_friction: float, linearized: Linearization) -> _FreeMotion:
+    """Free motion of a joint's motor; a few are kept for each model along the motion, since all widths share them."""
+    kept = _free_motions.setdefault(linearized, {})
     key = joint, motor_friction
     if key not in kept:
-        kept[key] = _RelativeMotion(motion, joint, motor_friction, linearized)
+        kept[key] = _FreeMotion(motion, joint, motor_friction, linearized)
         if len(kept) > _MAX_KEPT_MOTIONS:
             del kept[next(iter(kept))]
     return kept[key]
 
 
-def _simulate_play(relative: _RelativeMotion, width: float) -> _Play:
-    """Play of a width along a motion.
-
-    Parameters
-    ----------
-    relative
-        Motion of motor and link while the teeth are apart.
-    width
-        Width of the play [rad or m].
-    """
-    positions = np.empty(relative.sample_count)
-    friction_changes = np.zeros(relative.sample_count)
-    is_apart = np.zeros(relative.sample_count)
-    begins_driven_down = relative.driven_down[:1] == [0]
+def _trajectory(free: _FreeMotion, width: float) -> _PlayTrajectory:
+    """Trajectory within a play of a given width [rad or m], along the motion of ``free``."""
+    positions = np.empty(free.sample_count)
+    link_friction_corrections = np.zeros(free.sample_count)
+    is_separated = np.zeros(free.sample_count, dtype=bool)
+    begins_driven_down = free.driven_down[:1] == [0]
     side = -1 if begins_driven_down else 1  # of the play, at which the teeth are in contact
     k = 0
-    while k < relative.sample_count:
+    while k < free.sample_count:
         # The teeth stay in contact until they are driven apart.
-        driven_apart = relative.driven_down if side > 0 else relative.driven_up
+        driven_apart = free.driven_down if side > 0 else free.driven_up
         next_drive = bisect_left(driven_apart, k)
-        separation = driven_apart[next_drive] if next_drive < len(driven_apart) else relative.sample_count
+        separation = driven_apart[next_drive] if next_drive < len(driven_apart) else free.sample_count
         contact = side * width / 2
         positions[k:separation] = contact
-        if separation == relative.sample_count:
+        if separation == free.sample_count:
             break
-        displacements, changes = relative.path_until_contact(separation, side, width)
+        displacements, corrections = free.until_contact(separation, width)
         k = separation + len(displacements)
         positions[separation:k] = displacements
         positions[separation:k] += contact
-        friction_changes[separation:k] = changes
-        is_apart[separation:k] = 1.0
+        link_friction_corrections[separation:k] = corrections
+        is_separated[separation:k] = True
         side = 1 if contact + displacements[-1] > 0 else -1
-    return _Play(np.clip(positions, -width / 2, width / 2), friction_changes, is_apart)
+    positions = np.clip(positions, -width / 2, width / 2)
+    return _PlayTrajectory(positions, link_friction_corrections, is_separated.astype(float), free.dt)
