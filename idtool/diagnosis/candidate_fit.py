@@ -17,7 +17,7 @@ from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import FittedCandidate, block_gains, is_reportable
 from idtool.diagnosis.noise_floor import estimate_noise_floor
 from idtool.diagnosis.screen import ScreenedProbe
-from idtool.diagnosis.trial import FAILURES, TrialFit, failure_reason, fit_trial, on_rows_of, parameter_value
+from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, on_rows_of, parameter_value
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.joint_effect import JointEffect
@@ -211,11 +211,6 @@ def possible_imitators(base: LinearizedFit, joint: str | None, movable: Sequence
         if kind.gradient_parameters() or (issubclass(kind, JointEffect) and kind.grid_parameters()):
             imitators.append(i)
     return imitators
-
-
-def not_fitted_reason(failure: Exception) -> str:
-    """Reason why a candidate is rejected that cannot be fitted, as a clause."""
-    return f"cannot be fitted together with the rest of the model: {failure_reason(failure)}"
 
 
 def rejection_reason(

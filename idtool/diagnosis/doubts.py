@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from idtool.common.notice import Notice
 from idtool.diagnosis.confirmation import contradiction
-from idtool.diagnosis.effect_order import MAX_ERROR_RATIO
+from idtool.diagnosis.error_summary import MAX_ERROR_RATIO
 from idtool.diagnosis.records import DiagnosisStep
 from idtool.dynamics.effects import effect_name
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from idtool.diagnosis.effect_search import EffectSearch
-from idtool.diagnosis.error_summary import errors_of_fit
+from idtool.diagnosis.error_summary import MAX_ERROR_RATIO, errors_of_fit
 from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.held_out_error import held_out_log_change
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.estimation.fit import fit
 
-MAX_ERROR_RATIO = 1.0005  # of the errors with an effect and without it, over all joints
 _MIN_LOG_DECREASE = 0.1  # of the squared error where the direction of friction is known, that excuses an increase
 
 Errors = Mapping[str, float]  # rms torque errors by joint, and ``overall`` [N·m or N]

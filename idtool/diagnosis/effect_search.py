@@ -1,28 +1,23 @@
 """Search for missing effects, in rounds: the best one is added, all are refitted, and superseded ones are removed.
 
-`EffectSearch` decides which effects are added and removed again; `ExtendedModel` is the model that has them.
+`EffectSearch` decides which effects are added and removed again, `EffectReplacement` which ones give way to others;
+`ExtendedModel` is the model that has them.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
-
-import numpy as np
+from dataclasses import replace
 
 from idtool.common.exceptions import ConfigError
-from idtool.common.processes import in_processes, interleaved_shares
-from idtool.diagnosis.bursts import find_bursts
 from idtool.diagnosis.candidate_fit import (
     implausibility,
     imprecise_parameter,
-    not_fitted_reason,
     without_insignificant_parameters,
     without_optional_parameters,
 )
 from idtool.diagnosis.effect_pair import FittedEffectPair, find_pairs
+from idtool.diagnosis.effect_replacement import EffectReplacement
 from idtool.diagnosis.error_summary import evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
@@ -39,14 +34,13 @@ from idtool.diagnosis.model_selection import (
     probe_key,
     probe_target,
 )
-from idtool.diagnosis.quiet_joints import are_all_quiet
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN, joints_clearer_away_from_reversals
-from idtool.diagnosis.screen import sum_standard_error
-from idtool.diagnosis.selection_round import MAX_FULL_FITS, Bursts, find_best_effect, fit_assumed_effect
+from idtool.diagnosis.search_progress import SearchProgress, TimeLimitError
+from idtool.diagnosis.selection_round import find_best_effect, fit_assumed_effect
 from idtool.diagnosis.summarize_data import summarize_data
-from idtool.diagnosis.trial import FAILURES, failure_reason, has_fixed_inertia, with_effects
+from idtool.diagnosis.trial import FAILURES, failure_reason, has_fixed_inertia, not_fitted_reason, with_effects
 from idtool.diagnosis.unproven import find_unproven
-from idtool.diagnosis.words import removal_sentence, removal_with_reason, replacement_sentence, unproven_sentence
+from idtool.diagnosis.words import removal_sentence, removal_with_reason, unproven_sentence
 from idtool.dynamics.effects import effect_types
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
@@ -54,30 +48,6 @@ from idtool.robot.config import EffectEntry
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
 _MAX_REPLACEMENTS = 3
 _MIN_REPLACEMENT_GAIN = 2.0  # standard errors by which a model must be better to replace another
-
-
-_Replaced = tuple[AddedEffect, ...]
-_RivalsOf = dict[AddedEffect, frozenset[ProbeKey]]
-
-
-@dataclass(frozen=True)
-class _Attempt:
-    """Attempt to replace effects.
-
-    Attributes
-    ----------
-    is_better
-        True if the model is better with another effect in their place.
-    rivals
-        Candidates that may explain as much as they do; None if they are not known, or if they explain nothing.
-    """
-
-    is_better: bool = False
-    rivals: frozenset[ProbeKey] | None = None
-
-
-class _TimeLimitError(Exception):
-    """The search's time is over."""
 
 
 class EffectSearch:
@@ -129,9 +99,8 @@ class EffectSearch:
     ) -> None:
         self._effects = effects
         self._max_effects = max_effects
-        self._report_progress = progress
+        self.progress = SearchProgress(progress)
         self._budget = budget
-        self._deadline: float | None = None
         self.stopped = ""
         self.advice = ""
         self.is_interrupted = False
@@ -139,8 +108,8 @@ class EffectSearch:
         self.last_round: SelectionStep | None = None
         self.reversal_joints: dict[str, tuple[float, float]] = {}
         self.failed: dict[tuple[str, str], str] = {}
-        self._refused: set[ProbeKey] = set()  # candidates with which the present model is worse
-        self._superseded: set[ProbeKey] = set()  # effects that later ones have made unnecessary
+        self._refused: set[ProbeKey] = set()  # candidates that could not be added beside the present effects
+        self._discarded: set[ProbeKey] = set()  # removed effects, which are not tried again
         self._found_among_all: list[AddedEffect] = []  # effects that were the best of all kinds
         self.model = ExtendedModel(experiment, self.progress)
         self.initial = self.current
@@ -161,13 +130,6 @@ class EffectSearch:
         """The effects found that a diagnosis names, in their order."""
         return self.model.reported
 
-    def progress(self, stage: str, share: float) -> None:
-        """Report progress; raises `_TimeLimitError` once the search's time is over."""
-        self._report_progress(stage, share)
-        if self._deadline is not None and time.monotonic() > self._deadline:
-            self._deadline = None
-            raise _TimeLimitError
-
     def assume(self, effect: str, target: str | None) -> None:
         """Add an effect however little it explains.
 
@@ -176,11 +138,11 @@ class EffectSearch:
         ConfigError
             If the model cannot have it.
         """
-        bursts = self._unexplained_bursts() if effect_types()[effect].acts_in_bursts else ()
+        bursts = self.model.unexplained_bursts() if effect_types()[effect].acts_in_bursts else ()
         selection = fit_assumed_effect(self.current, self.progress, effect, target, bursts)
         reason = "cannot be fitted to these data"
         if selection.winner is not None:
-            reason = self._try_add(selection, selection.winner, is_assumed=True)
+            reason = self.model.try_add(selection, selection.winner, is_assumed=True)
         if reason:
             what = f"{effect}:{target or 'any joint'} {reason}"
             raise ConfigError("--assume", f"{what}; leave it out, or name another joint")
@@ -188,21 +150,20 @@ class EffectSearch:
 
     def run(self) -> None:
         """Add effects until none is worthwhile, the time is over, or Ctrl-C; what was found by then remains."""
-        if self._budget is not None:
-            self._deadline = time.monotonic() + self._budget
+        self.progress.limit(self._budget)
         try:
             self._run()
         except KeyboardInterrupt:
             self.is_interrupted = True
             self._stop("the search was interrupted", "let it run to its end, or limit its time with --budget")
-        except _TimeLimitError:
+        except TimeLimitError:
             self._stop("the search reached its time limit", "allow it more time with a larger --budget")
         except FAILURES as failure:
             advice = (
                 "correct the faults of the data, or search for fewer effects: a second run would end in the same way"
             )
             self._stop(f"the search ended early: {failure_reason(failure)}", advice)
-        self._deadline = None
+        self.progress.limit(None)
 
     def note_limit(self) -> None:
         """Say that the search ended at the largest number of effects, if it did, although more are missing."""
@@ -212,7 +173,7 @@ class EffectSearch:
 
     def _stop(self, reason: str, advice: str) -> None:
         """Return to the last model that was complete."""
-        self._deadline = None  # what remains to be done is short
+        self.progress.limit(None)  # what remains to be done is short
         self.stopped = reason
         self.advice = advice
         state, removed = self._last_complete
@@ -301,13 +262,13 @@ class EffectSearch:
         self._refused.clear()  # on other rows, or beside other effects, they may be better
         earlier: set[tuple[tuple[str, str], ...]] = set()
         while len(self.reported) < self._max_effects:
-            skipped = self._refused | self._superseded
+            skipped = self._refused | self._discarded
             selection = find_best_effect(
                 self.current,
                 self.initial,
                 self.progress,
                 effects,
-                self._unexplained_bursts,
+                self.model.unexplained_bursts,
                 min_share=min_share,
                 skipped=skipped,
                 movable=self.model.movable,
@@ -318,7 +279,7 @@ class EffectSearch:
                 self.failed[candidate.effect, candidate.target] = candidate.reason
             if selection.winner is None:
                 break
-            reason = self._try_add(selection, selection.winner)
+            reason = self.model.try_add(selection, selection.winner)
             if reason:
                 self._refuse(selection.winner, reason)
                 continue
@@ -327,7 +288,7 @@ class EffectSearch:
             self._refused.clear()  # beside this effect, another one may be better
             self._prune()
             self._keep_as_complete()
-            present = tuple(sorted((effect.chosen.effect, effect.chosen.target) for effect in self.added))
+            present = tuple(sorted(effect.target for effect in self.added))
             if present in earlier:
                 break
             earlier.add(present)
@@ -369,45 +330,6 @@ class EffectSearch:
                 ids.append(effect_id)
         return tuple(ids)
 
-    def _unexplained_bursts(self) -> Bursts:
-        """Time intervals with an unusually large residual, in logs in which no effect explains them yet."""
-        explained_logs = set()
-        for effect in self.added:
-            if effect_types()[effect.chosen.effect].acts_in_bursts:
-                explained_logs.add(effect.entry.parameters.get("log", ""))
-        if "" in explained_logs:  # an effect without a log acts in all of them
-            return ()
-        bursts = find_bursts(self.current.experiment, self.current.estimate.theta, self.progress)
-        return tuple(burst for burst in bursts if burst.log not in explained_logs)
-
-    def _try_add(self, selection: SelectionStep, winner: FittedCandidate, is_assumed: bool = False) -> str:
-        """Add the winner of a round, unless the model cannot be fitted with it or is worse on the held-out data.
-
-        Parameters
-        ----------
-        selection, winner
-            The round, and its winner.
-        is_assumed
-            True if the model may be worse with it.
-
-        Returns
-        -------
-        Reason why it was not added; empty if it was.
-        """
-        before = self.model.state()
-        entry = winner.trial.entries[-1]
-        record = fitted_record(winner, self.current)
-        self.added.append(AddedEffect(entry, selection, record, is_assumed=is_assumed))
-        failure = self.model.try_refit()
-        if failure:
-            self.model.restore(before)
-            return not_fitted_reason(failure)
-        needs_check = is_reportable(winner.probe.effect) and not is_assumed
-        if needs_check and lowers_held_out_likelihood(before.current, self.current):
-            self.model.restore(before)
-            return "increases the error on the held-out data when all effects are fitted together"
-        return ""
-
     def _refuse(self, candidate: FittedCandidate, reason: str) -> None:
         """Do not try a candidate again beside the present effects."""
         self._refused.add(probe_key(candidate.probe))
@@ -415,191 +337,14 @@ class EffectSearch:
         self.failed[record.effect, record.target] = reason
 
     def _replace_effects(self) -> None:
-        """Replace effects that turn out, beside those found later, to explain less than another one.
-
-        One effect at a time is left out, and the best one in its place searched for; then two at a time, which may
-        together stand for a single one.
-        """
+        """Replace effects by others that are better beside those found later."""
+        replacement = EffectReplacement(self.model, self.initial, self._effects, self._found_among_all, self.progress)
         for _ in range(_MAX_REPLACEMENTS):
-            if len(self.reported) < 2:
+            sentences = replacement.replace_first()
+            if not sentences:
                 return
-            rivals = self._rivals_when_found()
-            if not self._replace_one(rivals) and not self._replace_two(rivals):
-                return
-
-    def _replace_one(self, rivals: _RivalsOf) -> bool:
-        """Replace an effect by one that explains more; False if none does, as where all joints are quiet.
-
-        Parameters
-        ----------
-        rivals
-            Rivals of effects beside all others, as far as they are known; those that are found are added.
-        """
-        if are_all_quiet(self.current, self.progress):
-            return False
-        choices = self._without_known_rivals(rivals)
-        attempts = self._attempts(choices)
-        rivals.update(_rivals_found(choices, attempts))
-        return self._replace_first(choices, attempts)
-
-    def _replace_two(self, rivals: _RivalsOf) -> bool:
-        """Replace two effects by one that explains as much, and so is a rival of each of them; False if none does.
-
-        Parameters
-        ----------
-        rivals
-            As for `_replace_one`.
-        """
-        pairs = self._pairs_with_common_rival(rivals)
-        unknown = self._without_known_rivals(rivals)
-        if len(pairs) > len(unknown):  # it takes less time to screen their rivals first
-            rivals.update(_rivals_found(unknown, self._attempts(unknown, max_fits=0)))
-            pairs = self._pairs_with_common_rival(rivals)
-        return self._replace_first(pairs, self._attempts(pairs))
-
-    @property
-    def _replaceable(self) -> list[AddedEffect]:
-        """The effects that another one may replace: those that the user did not give."""
-        return [effect for effect in self.reported if not effect.is_assumed]
-
-    def _rivals_when_found(self) -> _RivalsOf:
-        """Rivals of each effect that was found beside the same others as it has now."""
-        found_beside_others = [effect for effect in self._replaceable if self._would_be_found_again([effect])]
-        return {effect: effect.selection.rivals for effect in found_beside_others}
-
-    def _without_known_rivals(self, rivals: _RivalsOf) -> list[_Replaced]:
-        """Each effect whose rivals are not known."""
-        return [(effect,) for effect in self._replaceable if effect not in rivals]
-
-    def _pairs_with_common_rival(self, rivals: _RivalsOf) -> list[_Replaced]:
-        """Pairs of effects that may have a rival in common, as far as rivals are known; none that is found again."""
-        pairs: list[_Replaced] = []
-        for pair in combinations(self._replaceable, 2):
-            known = [rivals[effect] for effect in pair if effect in rivals]
-            common = frozenset[ProbeKey].intersection(*known) if known else frozenset()
-            subjects = _subjects([effect.entry for effect in pair])
-            may_be_replaced = not known or any(key[:2] not in subjects for key in common)
-            if may_be_replaced and not self._would_be_found_again(pair):
-                pairs.append(pair)
-        return pairs
-
-    def _attempts(self, choices: Sequence[_Replaced], max_fits: int = MAX_FULL_FITS) -> list[_Attempt]:
-        """Attempts to replace each of several sets of effects, until one makes the model better.
-
-        Parameters
-        ----------
-        choices
-            The sets of effects.
-        max_fits
-            Number of candidates that are fitted in place of each set at most; 0 if only the rivals are wanted.
-        """
-
-        def attempts_of(share: range, progress: Progress) -> dict[int, _Attempt]:
-            self._report_progress = progress  # a copy of this process has its own
-            attempts: dict[int, _Attempt] = {}
-            for i in share:
-                attempts[i] = self._attempt(choices[i], max_fits)
-                if attempts[i].is_better:
-                    break
-            return attempts
-
-        attempts: dict[int, _Attempt] = {}
-        for attempts_of_share in in_processes(attempts_of, interleaved_shares(len(choices)), self._report_progress):
-            attempts.update(attempts_of_share)
-        return [attempts.get(i, _Attempt()) for i in range(len(choices))]
-
-    def _replace_first(self, choices: Sequence[_Replaced], attempts: Sequence[_Attempt]) -> bool:
-        """Replace the first of several sets of effects for which another one is better; False if there is none."""
-        better = [choice for choice, attempt in zip(choices, attempts, strict=True) if attempt.is_better]
-        return bool(better) and self._replace(better[0])  # once more, since a copy cannot send its model
-
-    def _would_be_found_again(self, replaced: Sequence[AddedEffect]) -> bool:
-        """True if a search without some effects would find one of them again.
-
-        It was the best of all kinds in a round whose model had the same other effects.
-        """
-        others = [effect.entry for effect in self.added if effect not in replaced]
-        subjects_of_others = _subjects([*self.model.given, *others])
-        for effect in replaced:
-            base = effect.selection.base
-            was_best_of_all = effect in self._found_among_all
-            has_same_rows = base.reversal_margin == self.current.reversal_margin
-            has_same_effects = _subjects(base.experiment.config.effects) == subjects_of_others
-            if was_best_of_all and has_same_rows and has_same_effects:
-                return True
-        return False
-
-    def _attempt(self, replaced: _Replaced, max_fits: int) -> _Attempt:
-        """Attempt to replace effects; the model stays as it is."""
-        before = self.model.state()
-        attempt = self._add_in_place_of(replaced, max_fits)
-        self.model.restore(before)
-        return attempt
-
-    def _replace(self, replaced: _Replaced) -> bool:
-        """Replace effects by the one that explains most without them, if the model is better with it."""
-        before = self.model.state()
-        if not self._add_in_place_of(replaced, MAX_FULL_FITS).is_better:
-            self.model.restore(before)
-            return False
-        by = self.added[-1].chosen
-        self.removed += [replacement_sentence(effect.chosen, by) for effect in replaced]
-        self._keep_as_complete()
-        return True
-
-    def _add_in_place_of(self, replaced: _Replaced, max_fits: int) -> _Attempt:
-        """Add another effect in place of some; if the model is not better, the caller has to restore it."""
-        before = self.current
-        self.model.drop(replaced)
-        try:
-            self.model.refit_coefficients()  # the screening has the nonlinear parameters free, to first order
-            without = self.current
-            other = linearize_fit(before.experiment, self.progress, without)
-            explained_joints = _joints_as_well_explained(without, other)
-            selection = find_best_effect(
-                without,
-                self.initial,
-                self.progress,
-                self._effects,
-                self._unexplained_bursts,
-                movable=self.model.movable,
-                explained_joints=explained_joints,
-                replaced_gain=float(block_gains(without, other).sum()),
-                max_fits=max_fits,
-            )
-        except FAILURES:
-            return _Attempt()
-        winner = selection.winner
-        is_better = (
-            winner is not None
-            and is_reportable(winner.probe.effect)
-            and probe_target(winner.probe) not in {(effect.chosen.effect, effect.chosen.target) for effect in replaced}
-            and not self._try_add(selection, winner)
-            and self._is_better(other, without, is_simpler=len(replaced) > 1)
-        )
-        explain_nothing = len(explained_joints) == without.joint_count
-        return _Attempt(is_better, None if explain_nothing else selection.rivals)
-
-    def _is_better(self, other: LinearizedFit, without: LinearizedFit, is_simpler: bool) -> bool:
-        """True if the present model explains significantly more than another one; if simpler, not significantly less.
-
-        Parameters
-        ----------
-        other
-            The other model, on the rows and in the units of ``without``.
-        without
-            The model without the effects in which the two differ.
-        is_simpler
-            True if the present model has fewer effects.
-        """
-        try:
-            present = linearize_fit(self.current.experiment, self.progress, without)
-        except FAILURES:
-            return False
-        gains = block_gains(other, present)
-        gain = float(gains.sum())
-        significant_gain = _MIN_REPLACEMENT_GAIN * sum_standard_error(gains)
-        return gain > -significant_gain if is_simpler else gain > significant_gain
+            self.removed += sentences
+            self._keep_as_complete()
 
     def _remove_doubtful(self) -> bool:
         """Remove effects that are not determined or for which the evidence is not enough; False if there are none."""
@@ -608,9 +353,13 @@ class EffectSearch:
         self._remove_unproven()
         removed = [effect for effect in before if effect not in self.added]
         for effect in removed:
-            if effect.selection.winner is not None:
-                self._superseded.add(probe_key(effect.selection.winner.probe))
+            self._discard(effect)
         return bool(removed)
+
+    def _discard(self, effect: AddedEffect) -> None:
+        """Do not try a removed effect again."""
+        if effect.selection.winner is not None:
+            self._discarded.add(probe_key(effect.selection.winner.probe))
 
     def _remove_unfounded(self) -> None:
         """Remove effects that no robot has, or that are not determined, with the parameters of the present model."""
@@ -661,8 +410,7 @@ class EffectSearch:
             is_needed = self._is_needed(effect, [*self.model.given, *others])
             if is_needed or self.model.try_drop([effect]):
                 continue
-            if effect.selection.winner is not None:
-                self._superseded.add(probe_key(effect.selection.winner.probe))
+            self._discard(effect)
             if is_reportable(effect.chosen.effect):
                 self.removed.append(removal_sentence(effect.chosen, newest.chosen))
 
@@ -720,19 +468,3 @@ class EffectSearch:
         """Error of the present model, on the held-out data if there are any, at the joint of an effect."""
         errors = evaluate_errors(self.current.experiment, self.current.estimate.theta, False, self.progress)
         return errors.torque[effect.entry.joint or "overall"]
-
-
-def _joints_as_well_explained(without: LinearizedFit, other: LinearizedFit) -> list[str]:
-    """Joints whose squared residual is hardly larger than that of another model on the same rows."""
-    is_alike = without.mean_squared_residual < other.mean_squared_residual / (1 - MIN_SHARE)
-    return [without.experiment.equation.joints[j] for j in np.flatnonzero(is_alike)]
-
-
-def _rivals_found(choices: Sequence[_Replaced], attempts: Sequence[_Attempt]) -> _RivalsOf:
-    """Rivals of single effects, of those whose attempt found them."""
-    return {effect: one.rivals for (effect,), one in zip(choices, attempts, strict=True) if one.rivals is not None}
-
-
-def _subjects(entries: Sequence[EffectEntry]) -> list[tuple[str, str]]:
-    """Effects and what they act on, in alphabetical order."""
-    return sorted((entry.effect, entry.joint or entry.link or "") for entry in entries)

@@ -9,6 +9,7 @@ from idtool.estimation.evaluation.rollouts import evaluate_rollouts
 from idtool.estimation.evaluation.torque_errors import evaluate
 from idtool.estimation.fit import Fit
 
+MAX_ERROR_RATIO = 1.0005  # of the errors with an effect and without it, over all joints, that chance explains
 NEGLIGIBLE_SHARE = 3e-3  # of a joint's torque: a smaller error does not matter
 
 _MODEL = "model"

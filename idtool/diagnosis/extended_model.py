@@ -14,11 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from idtool.diagnosis.bursts import find_bursts
+from idtool.diagnosis.held_out_error import lowers_held_out_likelihood
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
-from idtool.diagnosis.model_selection import SelectionStep, is_reportable
+from idtool.diagnosis.model_selection import FittedCandidate, SelectionStep, fitted_record, is_reportable
 from idtool.diagnosis.records import Candidate
-from idtool.diagnosis.trial import FAILURES, ParameterKey, fit_trial, with_effects
+from idtool.diagnosis.trial import FAILURES, ParameterKey, fit_trial, not_fitted_reason, with_effects
 from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects.data_summary import Burst
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 
@@ -49,6 +52,16 @@ class AddedEffect:
     chosen: Candidate
     errors: dict[str, float] = field(default_factory=dict)
     is_assumed: bool = False
+
+    @property
+    def subject(self) -> tuple[str, str]:
+        """The effect and the joint or link that it acts on, as of a `Probe`."""
+        return self.entry.effect, self.entry.joint or self.entry.link or ""
+
+    @property
+    def target(self) -> tuple[str, str]:
+        """The effect and what it acts on, as in a `Candidate`."""
+        return self.chosen.effect, self.chosen.target
 
 
 @dataclass(frozen=True)
@@ -151,6 +164,45 @@ class ExtendedModel:
         entries = [*self.given, *(effect.entry for effect in self.added)]
         experiment = with_effects(self.current.experiment, entries, self.current.theta)
         self.current = linearize_fit(experiment, self._progress, reversal_margin=self.current.reversal_margin)
+
+    def try_add(self, selection: SelectionStep, winner: FittedCandidate, is_assumed: bool = False) -> str:
+        """Add the winner of a round, unless the model cannot be fitted with it or is worse on the held-out data.
+
+        Parameters
+        ----------
+        selection, winner
+            The round, and its winner.
+        is_assumed
+            True if the user gave the effect, so that the model may be worse with it.
+
+        Returns
+        -------
+        Reason why it was not added, as a clause; empty if it was.
+        """
+        before = self.state()
+        entry = winner.trial.entries[-1]
+        record = fitted_record(winner, self.current)
+        self.added.append(AddedEffect(entry, selection, record, is_assumed=is_assumed))
+        failure = self.try_refit()
+        if failure:
+            self.restore(before)
+            return not_fitted_reason(failure)
+        needs_check = is_reportable(winner.probe.effect) and not is_assumed
+        if needs_check and lowers_held_out_likelihood(before.current, self.current):
+            self.restore(before)
+            return "increases the error on the held-out data when all effects are fitted together"
+        return ""
+
+    def unexplained_bursts(self) -> tuple[Burst, ...]:
+        """Time intervals with an unusually large residual, in logs in which no effect explains them yet."""
+        explained_logs = set()
+        for effect in self.added:
+            if effect_types()[effect.chosen.effect].acts_in_bursts:
+                explained_logs.add(effect.entry.parameters.get("log", ""))
+        if "" in explained_logs:  # an effect without a log acts in all of them
+            return ()
+        bursts = find_bursts(self.current.experiment, self.current.estimate.theta, self._progress)
+        return tuple(burst for burst in bursts if burst.log not in explained_logs)
 
     def entries(self, effects: Sequence[AddedEffect]) -> list[EffectEntry]:
         """The configuration's effects and some of those added, with errors of nonlinear parameters."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,16 +24,32 @@ from idtool.dynamics.effects import effect_types, target_name
 from idtool.dynamics.effects.probe import Probe
 from idtool.estimation.dataset.experiment import Progress
 
-ProbeKey = tuple[str, ...]
-
 MIN_SIGNIFICANCE = 5.0  # standard errors of an effect; squared, its least gain: some thousand candidates compete
 _GAIN_PER_PARAMETER = 4.0  # that each further parameter must add
 MIN_SHARE = 0.1  # of a joint's squared residual, that an effect must explain
 _MIN_DIFFERENCE_SIGNIFICANCE = 2.0  # standard errors by which the gains of two candidates must differ
-_MAX_SIMPLER_LOSS = 0.03  # of the best gain, that a simpler explanation may lack
+MAX_SIMPLER_LOSS = 0.03  # of the best gain, that a simpler explanation may lack
 _MAX_RIVAL_GAIN_RATIO = 0.5  # of a rival's gain with the winner in the model to its gain without
 _MIN_NEAR_GAIN_RATIO = 0.8  # of two gains whose difference may be due to chance
 _MAX_RESIDUAL_RATIO = 1.1  # of two squared residuals that are as good as the same
+
+
+class ProbeKey(NamedTuple):
+    """What a probe stands for, whatever its other nonlinear values.
+
+    Attributes
+    ----------
+    subject
+        The effect and the joint or link that it acts on.
+    log
+        File name of the log in which it acts; empty: in all.
+    other_joints
+        Indices of the other joints that it involves.
+    """
+
+    subject: tuple[str, str]
+    log: str
+    other_joints: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +160,9 @@ class SelectionStep:
         winner, so that no pair is needed, and if none was tried.
     has_tried
         False if all joints are quiet, so that no candidate was tried.
-    rivals
-        Candidates that may explain as much as the winner or, if effects are to be replaced, as these. What was not
-        screened may.
+    substitutes
+        Keys of the candidates that may explain as much as the winner, itself among them, or as the effects that are to
+        be replaced; those that were skipped may, too. None if there is nothing to replace.
     """
 
     base: LinearizedFit
@@ -157,7 +174,7 @@ class SelectionStep:
     failed: tuple[Candidate, ...] = ()
     screening: Screening | None = None
     has_tried: bool = True
-    rivals: frozenset[ProbeKey] = frozenset()
+    substitutes: frozenset[ProbeKey] | None = None
 
     def alternatives(self) -> tuple[Candidate, ...]:
         """Records of the finalists that compete with the winner, the best first."""
@@ -166,11 +183,9 @@ class SelectionStep:
 
 
 def probe_key(probe: Probe) -> ProbeKey:
-    """Key of a probe, which other numeric values do not change: effect, what it acts on, log, and other joints."""
-    other_joints = []
-    for name in effect_types()[probe.effect].joint_parameters():
-        other_joints.append(f"{probe.nonlinear_values[name]:g}")
-    return (*probe.subject, probe.log, *other_joints)
+    """Key of a probe."""
+    other_joints = [probe.nonlinear_values[name] for name in effect_types()[probe.effect].joint_parameters()]
+    return ProbeKey(probe.subject, probe.log, tuple(other_joints))
 
 
 def probe_target(probe: Probe) -> tuple[str, str]:
@@ -329,7 +344,7 @@ def is_worthwhile(
 
 def _is_as_good(candidate: FittedCandidate, best: FittedCandidate) -> bool:
     """True if a candidate lacks little of the best gain, and no more than chance explains."""
-    return best.gain - candidate.gain <= _MAX_SIMPLER_LOSS * best.gain and not _gains_differ(candidate, best)
+    return best.gain - candidate.gain <= MAX_SIMPLER_LOSS * best.gain and not _gains_differ(candidate, best)
 
 
 def _is_indistinguishable(a: FittedCandidate, b: FittedCandidate) -> bool:

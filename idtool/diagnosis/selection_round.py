@@ -18,7 +18,6 @@ from idtool.diagnosis.candidate_fit import (
     MIN_REPLACING_GAIN_RATIO,
     fit_and_judge,
     fit_candidate,
-    not_fitted_reason,
 )
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.model_selection import (
@@ -30,6 +29,7 @@ from idtool.diagnosis.model_selection import (
     Screening,
     SelectionStep,
     best_by_key,
+    block_gains,
     probe_key,
     screened_record,
     select_best,
@@ -39,7 +39,7 @@ from idtool.diagnosis.quiet_joints import quiet_joints
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
-from idtool.diagnosis.trial import FAILURES, has_fixed_inertia, with_nonlinear_parameters_free
+from idtool.diagnosis.trial import FAILURES, has_fixed_inertia, not_fitted_reason, with_nonlinear_parameters_free
 from idtool.diagnosis.trial_transfer import trial_from_bytes, trial_to_bytes
 from idtool.dynamics.effects import effect_types
 from idtool.dynamics.effects.data_summary import Burst, DataSummary
@@ -75,8 +75,7 @@ def find_best_effect(
     min_share: float = MIN_SHARE,
     skipped: Collection[ProbeKey] = (),
     movable: Sequence[int] = (),
-    explained_joints: Collection[str] = (),
-    replaced_gain: float = 0.0,
+    replaced: LinearizedFit | None = None,
     max_fits: int = MAX_FULL_FITS,
 ) -> SelectionStep:
     """One round of the search: the effect that explains most of a model's residual.
@@ -102,10 +101,9 @@ def find_best_effect(
         Keys of candidates that are not tried.
     movable
         Indices of the model's effects whose nonlinear parameters may be moved.
-    explained_joints
-        Joints that need no effect in place of those that it is to replace.
-    replaced_gain
-        Gain of the effects that it is to replace. Candidates that promise much less are not fitted.
+    replaced
+        Model with other effects that it is to replace, on the rows of ``base``; None: it is to replace none. Candidates
+        that promise to explain much less than these are not fitted.
     max_fits
         Number of candidates that are fitted with the whole model at most, including those that are then rejected.
     """
@@ -122,18 +120,43 @@ def find_best_effect(
         )
     summary = summarize_data(base, find_bursts(), has_fixed_inertia(base.experiment))
     reference = with_nonlinear_parameters_free(base, movable, progress)
+    replaced_gain = 0.0
+    explained_joints: frozenset[str] = frozenset()
+    if replaced is not None:
+        replaced_gain = float(block_gains(reference, replaced).sum())
+        explained_joints = _joints_as_well_explained(base, replaced)
     screening = _screen_all(reference, summary, effects, quiet.union(explained_joints), skipped, progress)
-    refined = _refine(reference, screening.screened, progress)
-    candidates = [candidate for candidate in refined if _may_replace(candidate, replaced_gain, explained_joints)]
+    needed = [one for one in screening.screened if not _acts_on_one_of(one.probe, explained_joints)]
+    refined = _refine(reference, needed, progress)
+    candidates = [candidate for candidate in refined if _may_replace(candidate, replaced_gain)]
     fits = _fit_best_candidates(
         base, initial, candidates, summary, screening.inflation, movable, replaced_gain, max_fits, progress
     )
     selection = select_best(base, screening, fits, movable, progress, min_share)
     gain = replaced_gain
-    if selection.winner is not None and not replaced_gain:
+    if replaced is None and selection.winner is not None:
         gain = selection.winner.gain
-    rivals = _rivals(candidates, fits.gains, gain)
-    return replace(selection, rivals=rivals.union(skipped))
+    explains_nothing = gain <= 0 or explained_joints.issuperset(base.experiment.equation.joints)
+    if explains_nothing:
+        return selection
+    substitutes = _substitutes(refined, fits.gains, gain)
+    return replace(selection, substitutes=substitutes.union(skipped))
+
+
+def _joints_as_well_explained(without: LinearizedFit, other: LinearizedFit) -> frozenset[str]:
+    """Joints whose squared residual is hardly larger than that of another model on the same rows."""
+    is_alike = without.mean_squared_residual < other.mean_squared_residual / (1 - MIN_SHARE)
+    return frozenset(without.experiment.equation.joints[j] for j in np.flatnonzero(is_alike))
+
+
+def _acts_on_one_of(probe: Probe, joints: Container[str]) -> bool:
+    """True if a probe's effect changes the torque of a single joint, which is one of some."""
+    return _acts_on_own_joint_alone(probe) and probe.joint in joints
+
+
+def _acts_on_own_joint_alone(probe: Probe) -> bool:
+    """True if a probe's effect changes the torque of no other joint than its own."""
+    return not issubclass(effect_types()[probe.effect], FixedEffect)
 
 
 def _screen_all(
@@ -317,31 +340,18 @@ def _min_gain_ratio(candidate: ScreenedProbe) -> float:
     return _MIN_FIRST_ORDER_GAIN_RATIO if is_first_order else _MIN_GAIN_RATIO
 
 
-def _may_replace(candidate: ScreenedProbe, replaced_gain: float, explained_joints: Collection[str] = ()) -> bool:
-    """True if the fit of a candidate may explain as much as the effects that it is to replace.
-
-    Parameters
-    ----------
-    candidate
-        The candidate.
-    replaced_gain
-        Gain of these effects.
-    explained_joints
-        Joints on which the model without them is as good.
-    """
+def _may_replace(candidate: ScreenedProbe, replaced_gain: float) -> bool:
+    """True if the fit of a candidate may explain as much as effects with a given gain."""
     kind = effect_types()[candidate.probe.effect]
-    acts_on_own_joint_alone = not issubclass(kind, FixedEffect)
-    if acts_on_own_joint_alone and candidate.probe.joint in explained_joints:
-        return False
-    is_gain_reliable = acts_on_own_joint_alone or issubclass(kind, LinkEffect)
+    is_gain_reliable = _acts_on_own_joint_alone(candidate.probe) or issubclass(kind, LinkEffect)
     min_ratio = MIN_REPLACING_GAIN_RATIO if is_gain_reliable else _min_gain_ratio(candidate)
     return candidate.gain > min_ratio * replaced_gain
 
 
-def _rivals(
+def _substitutes(
     candidates: Iterable[ScreenedProbe], fitted_gains: Mapping[ProbeKey, float], gain: float
 ) -> frozenset[ProbeKey]:
-    """Candidates that may explain as much as effects with a given gain; of those that were fitted, those that do.
+    """Keys of the candidates that may explain as much as effects with a given gain.
 
     Parameters
     ----------
@@ -352,15 +362,16 @@ def _rivals(
     gain
         Gain of the effects.
     """
-    rivals = set()
+    substitutes = set()
     for candidate in candidates:
         key = probe_key(candidate.probe)
-        is_fitted = key in fitted_gains
-        if is_fitted and fitted_gains[key] > MIN_REPLACING_GAIN_RATIO * gain:
-            rivals.add(key)
-        if not is_fitted and _may_replace(candidate, gain):
-            rivals.add(key)
-    return frozenset(rivals)
+        if key in fitted_gains:
+            may_replace = max(fitted_gains[key], candidate.gain) > MIN_REPLACING_GAIN_RATIO * gain
+        else:
+            may_replace = _may_replace(candidate, gain)
+        if may_replace:
+            substitutes.add(key)
+    return frozenset(substitutes)
 
 
 def _without_cancelled_noise(candidate: ScreenedProbe, base: LinearizedFit) -> ScreenedProbe:

@@ -63,6 +63,11 @@ def failure_reason(failure: Exception) -> str:
     return f"its evaluation failed ({type(failure).__name__})"
 
 
+def not_fitted_reason(failure: Exception) -> str:
+    """Reason why a candidate is rejected that cannot be fitted, as a clause."""
+    return f"cannot be fitted together with the rest of the model: {failure_reason(failure)}"
+
+
 @dataclass(frozen=True)
 class TrialFit:
     """Fit of a model with further effects.

@@ -21,7 +21,7 @@ from idtool.common.exceptions import ConfigError, SolverError
 from idtool.common.notice import Notice
 from idtool.data.signals import Motion
 from idtool.diagnosis import diagnose as module
-from idtool.diagnosis import effect_search, extended_model, reversal_rows
+from idtool.diagnosis import effect_replacement, effect_search, extended_model, reversal_rows
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.extended_model import ExtendedModel
@@ -258,7 +258,7 @@ def test_what_was_found_before_ctrl_c_is_reported(arm: Experiment, monkeypatch: 
             raise KeyboardInterrupt
         return inner(*arguments, **options)
 
-    for part in (effect_search, extended_model, reversal_rows):
+    for part in (effect_search, effect_replacement, extended_model, reversal_rows):
         monkeypatch.setattr(part, "linearize_fit", linearize_fit)
     found = diagnosed(arm)
     assert named(found) <= {SPRING, OFFSET}

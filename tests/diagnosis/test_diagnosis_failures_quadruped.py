@@ -16,7 +16,7 @@ from resting_quadruped import OFFSET, OFFSET_JOINT, SPRING_JOINT, STIFFNESS, wri
 
 import idtool
 from idtool.diagnosis import diagnose as module
-from idtool.diagnosis import effect_search, reversal_rows
+from idtool.diagnosis import effect_replacement, effect_search, reversal_rows
 from idtool.diagnosis.effect_search import EffectSearch
 
 pytestmark = pytest.mark.slow
@@ -124,7 +124,7 @@ def test_all_is_written_wherever_the_search_ends(
             raise failure
         return inner(*arguments, **options)
 
-    for part in (effect_search, reversal_rows):
+    for part in (effect_search, effect_replacement, reversal_rows):
         monkeypatch.setattr(part, "linearize_fit", linearize_fit)
     report = written(files, tmp_path / "out")
     assert count[0] >= calls

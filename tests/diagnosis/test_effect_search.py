@@ -20,15 +20,19 @@ from idtool.diagnosis import (
     candidate_fit,
     effect_order,
     effect_pair,
+    effect_replacement,
     effect_search,
+    extended_model,
     model_selection,
     quiet_joints,
     selection_round,
     trial,
 )
 from idtool.diagnosis.effect_order import StepErrors, first_harmful, order_effects
+from idtool.diagnosis.effect_replacement import EffectReplacement
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit
+from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import probe_key
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN
@@ -84,16 +88,30 @@ def entries_in_model(search: EffectSearch) -> list[tuple[str, str | None]]:
     return [(entry.effect, entry.joint) for entry in given if entry.joint is not None]
 
 
+def replacement_in(search: EffectSearch) -> EffectReplacement:
+    """The replacement of effects of a search's model."""
+    return EffectReplacement(search.model, search.initial, search._effects, search._found_among_all, search.progress)
+
+
+def to_be_replaced(base: LinearizedFit, gain: float, needed_joints: Sequence[str]) -> Any:
+    """What a round must know of a model with effects of a given gain, which some joints need."""
+    is_needed = np.isin(base.experiment.equation.joints, needed_joints)
+    return SimpleNamespace(
+        cv_squared_error=base.cv_squared_error - gain / base.block_count,
+        mean_squared_residual=np.where(is_needed, 0.1, 1.0) * base.mean_squared_residual,
+    )
+
+
 def record_searched(monkeypatch: pytest.MonkeyPatch) -> list[list[tuple[str, str | None]]]:
-    """List to which each round adds the effects of its model."""
+    """List to which each search for a replacement adds the effects of its model."""
     searched = []
-    inner = effect_search.find_best_effect
+    inner = effect_replacement.find_best_effect
 
     def find_best_effect(base: LinearizedFit, *others: Any, **options: Any) -> Any:
         searched.append([(entry.effect, entry.joint) for entry in base.experiment.config.effects if entry.joint])
         return inner(base, *others, **options)
 
-    monkeypatch.setattr(effect_search, "find_best_effect", find_best_effect)
+    monkeypatch.setattr(effect_replacement, "find_best_effect", find_best_effect)
     return searched
 
 
@@ -119,33 +137,61 @@ def test_two_effects_give_way_to_one_that_explains_as_much(tmp_path: Path) -> No
     effects = ("parallel_spring", "torque_offset", "end_stop")
     search = search_with(experiment, [("torque_offset", "j1"), ("end_stop", "j1")], effects)
     as_if_found(search)
-    assert search._replace_two({})
+    sentences = replacement_in(search).replace_first()
     assert owners(search) == entries_in_model(search) == [SPRING]
-    assert [sentence.split(",")[0] for sentence in search.removed] == [
+    assert [sentence.split(",")[0] for sentence in sentences] == [
         f"{effect} on j1 was replaced by parallel spring on j1" for effect in ("Torque offset", "End stop")
     ]
 
 
 @pytest.mark.parametrize("max_fits", [0, selection_round.MAX_FULL_FITS])
-def test_what_two_effects_stand_for_is_a_rival_of_what_explains_something(tmp_path: Path, max_fits: int) -> None:
+def test_what_two_effects_stand_for_may_replace_each_that_explains_something(tmp_path: Path, max_fits: int) -> None:
     experiment = experiment_of(tmp_path, spring, rows=slice(8000))
     effects = ("parallel_spring", "torque_offset", "end_stop")
     search = search_with(experiment, [("torque_offset", "j1"), ("end_stop", "j1")], effects)
-    as_if_found(search)
-    beside_stop, beside_offset = search._attempts([(effect,) for effect in search.added], max_fits)
-    assert beside_stop.rivals is None  # beside the stop, the offset explains nothing that anything could replace
-    assert beside_offset.rivals is not None
-    assert SPRING in {key[:2] for key in beside_offset.rivals}
+    choices = [(effect,) for effect in search.added]
+    beside_stop, beside_offset = replacement_in(search)._attempts(choices, max_fits).values()
+    assert beside_stop.substitutes is None  # beside the stop, the offset explains nothing that anything could replace
+    assert beside_offset.substitutes is not None
+    assert SPRING in {key.subject for key in beside_offset.substitutes}
 
 
-def test_two_effects_without_a_common_rival_are_not_replaced_together(
+@pytest.mark.parametrize("is_known", [True, False])
+def test_beside_a_play_what_may_replace_an_effect_is_not_known(tmp_path: Path, is_known: bool) -> None:
+    """Two effects without a common substitute; the other one is a spring or, in its place, a play."""
+    experiment = experiment_of(tmp_path, together(spring, offset), rows=slice(8000))
+    search = search_with(experiment, [SPRING, OFFSET])
+    pair = tuple(search.added)
+    if not is_known:
+        play = EffectEntry(effect="backlash", joint="j1", parameters={"width": 0.01, "motor_friction": 0.0})
+        pair[0].entry = play
+    known: dict[AddedEffect, Any] = {effect: frozenset() for effect in pair}
+    assert effect_replacement._may_have_common_substitute(pair, known) is not is_known
+
+
+@pytest.mark.parametrize(("loss", "is_better"), [(0.01, True), (0.1, False)])
+def test_one_effect_in_place_of_two_may_explain_hardly_less(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, loss: float, is_better: bool
+) -> None:
+    """Whatever chance may do: the gain of all is in a single block of time, so that its error is as large."""
+    search = search_with(experiment_of(tmp_path, spring, rows=slice(8000)), [SPRING])
+    present = search.current
+    gains = np.zeros(present.block_count)
+    gains[0] = 1000.0
+    without: Any = SimpleNamespace(cv_squared_error=present.cv_squared_error + gains)
+    original: Any = SimpleNamespace(cv_squared_error=present.cv_squared_error - loss / (1 - loss) * gains)
+    monkeypatch.setattr(effect_replacement, "linearize_fit", lambda *arguments: present)
+    assert replacement_in(search)._is_better(original, without, is_simpler=True) is is_better
+
+
+def test_two_effects_without_a_common_substitute_are_not_replaced_together(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     experiment = experiment_of(tmp_path, together(spring, offset), rows=slice(8000))
     search = search_with(experiment, [SPRING, OFFSET], ("parallel_spring", "torque_offset", "viscous_friction"))
     as_if_found(search)
     monkeypatch.setattr(processes, "process_count", lambda: 1)
-    monkeypatch.setattr(effect_search, "are_all_quiet", lambda *arguments: False)
+    monkeypatch.setattr(effect_replacement, "are_all_quiet", lambda *arguments: False)
     searched = record_searched(monkeypatch)
     search._replace_effects()
     assert searched == [[OFFSET], [SPRING]]
@@ -172,9 +218,9 @@ def test_what_was_found_beside_the_same_effects_is_not_searched_for_again(
     search._add_effects()
     assert len(owners(search)) == 2
     searched = record_searched(monkeypatch)
-    search._replace_one(search._rivals_when_found())
+    search._replace_effects()
     assert searched == []  # where only noise is left, nothing explains more
-    monkeypatch.setattr(effect_search, "are_all_quiet", lambda *arguments: False)
+    monkeypatch.setattr(effect_replacement, "are_all_quiet", lambda *arguments: False)
     search._replace_effects()
     assert searched == [[owners(search)[1]]]
 
@@ -211,7 +257,9 @@ def test_on_joints_where_nothing_is_expected_one_value_of_each_parameter_is_trie
     monkeypatch.setattr(selection_round, "quiet_joints", lambda *arguments: frozenset())
     monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
     fit = EffectSearch(experiment_of(tmp_path, spring), ("end_stop",), 4, silent).current
-    selection = selection_round.find_best_effect(fit, fit, silent, ("end_stop",), explained_joints=["j2"])
+    selection = selection_round.find_best_effect(
+        fit, fit, silent, ("end_stop",), replaced=to_be_replaced(fit, 0.0, ["j1"])
+    )
     assert selection.screening is not None
     count = Counter(one.probe.joint for one in selection.screening.screened if one.probe.effect == "end_stop")
     assert count["j1"] > count["j2"] == 1
@@ -231,7 +279,9 @@ def test_what_acts_on_a_joint_that_needs_no_effect_replaces_nothing(
     monkeypatch.setattr(selection_round, "fit_and_judge", fit_and_judge)
     monkeypatch.setattr(processes, "process_count", lambda: 1)
     monkeypatch.setattr(selection_round, "process_count", lambda: 1)
-    selection_round.find_best_effect(fit, fit, silent, ("parallel_spring",), explained_joints=[joint])
+    (needed_joint,) = {"j1", "j2"} - {joint}
+    replaced = to_be_replaced(fit, 0.0, [needed_joint])
+    selection_round.find_best_effect(fit, fit, silent, ("parallel_spring",), replaced=replaced)
     assert ("j1" in fitted) is is_fitted
 
 
@@ -285,15 +335,15 @@ def test_what_is_left_out_leaves_more_on_its_joint(tmp_path: Path) -> None:
     """Bodies could imitate the spring on the other joint too, but are known here."""
     fit = search_with(with_fixed_inertia(experiment_of(tmp_path, spring, rows=slice(8000))), [SPRING]).current
     without = linearize_fit(with_effects(fit.experiment, [], fit.theta), silent, fit)
-    assert effect_search._joints_as_well_explained(without, fit) == ["j2"]
-    assert effect_search._joints_as_well_explained(fit, fit) == ["j1", "j2"]
+    assert selection_round._joints_as_well_explained(without, fit) == {"j2"}
+    assert selection_round._joints_as_well_explained(fit, fit) == {"j1", "j2"}
 
 
 def test_where_all_is_noise_nothing_is_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*arguments: Any, **options: Any) -> Any:
         raise AssertionError
 
-    monkeypatch.setattr(effect_search, "find_bursts", fail)
+    monkeypatch.setattr(extended_model, "find_bursts", fail)
     monkeypatch.setattr(selection_round, "screen_probes", fail)
     monkeypatch.setattr(effect_search, "find_pairs", fail)
     search = EffectSearch(experiment_of(tmp_path, nothing), None, 4, silent)
@@ -324,9 +374,8 @@ def test_what_cannot_explain_more_than_what_it_would_replace_is_not_fitted(
     assert fitted == ["parallel_spring", "end_stop"]
     for factor, expected in ((1.0, ["parallel_spring", "end_stop"]), (2.0, [])):
         fitted.clear()
-        selection_round.find_best_effect(
-            search.current, search.initial, silent, effects, replaced_gain=factor * selection.winner.gain
-        )
+        replaced = to_be_replaced(search.current, factor * selection.winner.gain, ["j1"])
+        selection_round.find_best_effect(search.current, search.initial, silent, effects, replaced=replaced)
         assert fitted == expected
 
 
@@ -455,7 +504,7 @@ def test_what_is_no_longer_determined_in_the_end_is_removed(tmp_path: Path, erro
     effect.is_assumed = False
     assert search._remove_doubtful() is (left == 0)
     assert effect.selection.winner is not None
-    is_tried_again = probe_key(effect.selection.winner.probe) not in search._superseded
+    is_tried_again = probe_key(effect.selection.winner.probe) not in search._discarded
     assert is_tried_again is (left == 1)
     assert len(owners(search)) == len(entries_in_model(search)) == left
     sentence = "End stop on j1 was removed again: its position is not determined by the data"
@@ -597,8 +646,8 @@ def test_an_optional_parameter_without_which_the_held_out_error_is_smaller_is_le
 def test_two_effects_that_are_there_stay(tmp_path: Path) -> None:
     search = search_with(experiment_of(tmp_path, together(spring, offset), rows=slice(8000)), [SPRING, OFFSET])
     before = search.current
-    assert not search._replace_one(search._rivals_when_found())
-    assert not search._replace_two({})
+    as_if_found(search)
+    assert not replacement_in(search).replace_first()
     assert search.current is before
     assert owners(search) == [SPRING, OFFSET]
     assert not search.removed
