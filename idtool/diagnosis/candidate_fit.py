@@ -55,7 +55,8 @@ def fit_and_judge(
 
     The nonlinear parameters of the other effects were found without the candidate, and may imitate it. If it is
     rejected, or gains clearly less than the screening predicted, they are fitted anew together with it, unless it
-    promises much less than what it is to replace.
+    promises much less than what it is to replace. Nor are they if it gains what the screening, with these parameters
+    free, predicted, and is rejected because the data do not determine its own: they would do so even less.
 
     Parameters
     ----------
@@ -83,9 +84,11 @@ def fit_and_judge(
     fitted = fit_candidate(base, candidate, progress)
     reason = rejection_reason(fitted, base, initial, summary, progress)
     imitators = possible_imitators(base, candidate.probe.joint, movable)
-    is_satisfactory = not reason and fitted.gain > _MIN_SHARE_OF_SCREENED_GAIN * candidate.gain
+    gains_as_predicted = fitted.gain > _MIN_SHARE_OF_SCREENED_GAIN * candidate.gain
+    is_undetermined = bool(_undetermined_parameter(fitted.trial, len(fitted.trial.entries) - 1))
+    is_final = gains_as_predicted and (not reason or is_undetermined)
     may_replace = max(fitted.gain, candidate.gain) > MIN_REPLACING_GAIN_RATIO * replaced_gain
-    if is_satisfactory or not imitators or not may_replace:
+    if is_final or not imitators or not may_replace:
         return fitted, reason
     try:
         refitted = fit_candidate(base, candidate, progress, imitators)

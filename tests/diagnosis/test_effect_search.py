@@ -432,6 +432,30 @@ def test_a_play_is_fitted_anew_with_what_changes_the_torque_on_its_teeth(
     assert tried == [[1], [0, 1]]
 
 
+@pytest.mark.parametrize(
+    ("undetermined", "gain", "fits"),
+    [("stiffness", 90.0, [()]), ("stiffness", 50.0, [(), (3,)]), ("", 90.0, [(), (3,)])],
+)
+def test_with_more_parameters_free_its_own_are_not_better_determined(
+    monkeypatch: pytest.MonkeyPatch, undetermined: str, gain: float, fits: list[tuple[int, ...]]
+) -> None:
+    """A rejected candidate that gains what was predicted, 100, is fitted anew with effect 3 for other reasons only."""
+    fitted = []
+
+    def fit_candidate(base: Any, candidate: Any, progress: Any, imitators: Sequence[int] = ()) -> Any:
+        fitted.append(tuple(imitators))
+        return SimpleNamespace(gain=gain, trial=SimpleNamespace(entries=[None]))
+
+    monkeypatch.setattr(candidate_fit, "fit_candidate", fit_candidate)
+    monkeypatch.setattr(candidate_fit, "rejection_reason", lambda *arguments: "as this test wants it")
+    monkeypatch.setattr(candidate_fit, "possible_imitators", lambda *arguments: [3])
+    monkeypatch.setattr(candidate_fit, "_undetermined_parameter", lambda *arguments: undetermined)
+    candidate: Any = SimpleNamespace(gain=100.0, probe=SimpleNamespace(joint="j1"))
+    nothing_else: Any = None
+    candidate_fit.fit_and_judge(candidate, nothing_else, nothing_else, nothing_else, [3], 0.0, silent)
+    assert fitted == fits
+
+
 def test_a_play_keeps_its_width_if_all_others_fail(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Even one that only increases the error."""
     width = 0.02
