@@ -15,11 +15,13 @@ from disturbed import experiment_of, nothing
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.interpolate import CubicSpline
 from spatial_arm import RIGID, Log, recorded, residuals, rolled_out, spec_of, written
 
 from idtool.data.signals import Motion
 from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
+from idtool.dynamics.effects.time_delay import _delayed
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import EffectEntry
@@ -173,6 +175,15 @@ def test_of_sensors_on_a_joint_the_first_entry_is_nearest_to_the_log(build: Buil
     tau = np.linspace(-20, 20, 101)
     np.testing.assert_allclose(sensor.to_measured(tau), 1.5 * falling(tau), rtol=1e-12)
     np.testing.assert_allclose(sensor.to_true(1.5 * falling(tau)), tau, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [0.37, -0.5, 2.6, -3.2, 1.0, 40.25])
+def test_a_delay_is_the_shift_of_a_spline(samples: float) -> None:
+    """Of scipy, which weights each sample anew; also of a series that is shorter than the delay."""
+    for count in (20, 500):
+        x = np.cumsum(np.random.default_rng(0).normal(size=(3, count)), axis=1)
+        expected = [ndimage.shift(row, samples, order=5, mode="nearest") for row in x]
+        np.testing.assert_allclose(_delayed(x, samples), expected, atol=1e-4)
 
 
 @pytest.mark.parametrize(("rate", "hertz"), [(1000, 40), (200, 38)])

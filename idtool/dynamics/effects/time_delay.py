@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Self
 
 import numpy as np
 from scipy import ndimage
+from scipy.interpolate import BSpline
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
@@ -31,6 +33,8 @@ from idtool.robot.model import RobotModel
 _MIN_DELAY_SAMPLES = 0.9  # a command acts until the next sample, so that half a sample of delay is in every log
 _MAX_PROBED_DELAY = 0.1  # s
 _MAX_DELAY = 1.0  # s: what is later belongs to another motion
+_SPLINE_BASIS = BSpline.basis_element(np.arange(-3.0, 4.0))  # of order 5, about 0
+_SPLINE_MARGIN = 16  # samples, more than a spline of order 5 is influenced by
 
 
 class TimeDelay(FixedEffect):
@@ -153,18 +157,32 @@ class TimeDelay(FixedEffect):
         mechanism.torque_delay[self.joints] += self.delay
 
     def _shifted(self, tau: Array, samples: float) -> Array:
-        """Torque of the joints delayed by a number of samples, shape (..., nv, N), on a spline of order 5.
-
-        Linear interpolation would damp frequencies near the end of the band.
-        """
+        """Torque of the joints delayed by a number of samples, shape (..., nv, N)."""
         if not samples:
             return tau
         tau = tau.copy()
-        for index in np.ndindex(tau.shape[:-2]):
-            for joint in self.joints:
-                row = tau[*index, joint]
-                row[:] = ndimage.shift(row, samples, order=5, mode="nearest")
+        tau[..., self.joints, :] = _delayed(tau[..., self.joints, :], samples)
         return tau
+
+
+def _delayed(x: Array, samples: float) -> Array:
+    """Series delayed by a number of samples, shape (..., N), on a spline of order 5, each continued by its ends.
+
+    Linear interpolation would damp frequencies near the end of the band. This is `scipy.ndimage.shift`, which weights
+    each sample anew; here the weights of all samples are the same.
+    """
+    whole_samples = math.floor(samples)
+    fraction = samples - whole_samples
+    pad = abs(whole_samples) + _SPLINE_MARGIN
+    padded = np.pad(x, [(0, 0)] * (x.ndim - 1) + [(pad, pad)], mode="edge")
+    coefficients = ndimage.spline_filter1d(padded, order=5, mode="mirror")
+    neighbours = np.arange(-3, 3)  # samples within the reach of a basis function
+    weights = _SPLINE_BASIS(-fraction - neighbours)
+    delayed = np.zeros(x.shape)
+    for neighbour, weight in zip(neighbours, weights, strict=True):
+        first = pad - whole_samples + neighbour
+        delayed += weight * coefficients[..., first : first + x.shape[-1]]
+    return delayed
 
 
 def _probe(joint: str | None, indices: Sequence[int], dt: float) -> Probe:
