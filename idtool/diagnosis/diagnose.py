@@ -17,7 +17,7 @@ from idtool.diagnosis.confirmation import estimate_on_parts
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.data_faults.torque_scale import check_torques
 from idtool.diagnosis.doubts import doubt_about
-from idtool.diagnosis.effect_order import order_effects
+from idtool.diagnosis.effect_order import StepFits, order_effects
 from idtool.diagnosis.effect_profile import effect_profile
 from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.error_summary import errors_of_fit, evaluate_errors
@@ -116,16 +116,17 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         first = _with_simulation(first, simulation, progress, stages)
     before = errors_of_fit(first)
     simulate = first.simulation is not None  # without that of the first model, there is nothing to compare with
+    step_fits = StepFits(search, first)
     if not options.assumed:
-        order = partial(order_effects, search, before.torque)
+        order = partial(order_effects, search, step_fits)
         stages.run("the order of the steps", order, None, is_short=True)
 
-    last = _fit_with_effects(search, first)
+    last = _fit_with_effects(search, step_fits)
     with _begin_simulation(last, simulate and last is not first) as simulation:
         remaining = _remaining_residual(search, errors_of_fit(last), stages)
         last = _with_simulation(last, simulation, progress, stages)
     after = errors_of_fit(last)
-    steps = with_doubts(_steps(search, first, last, simulate, stages), experiment.model)
+    steps = with_doubts(_steps(search, step_fits, last, simulate, stages), experiment.model)
     steps = _confirmed(steps, search, remaining, faults, stages)
     unknown_steps = _unknown_steps(search, remaining, last, stages)
     check_held_out = partial(_held_out_notices, search, unknown_steps)
@@ -237,25 +238,26 @@ def _confirmed(
     return confirmed
 
 
-def _fit_with_effects(search: EffectSearch, first: Fit) -> Fit:
+def _fit_with_effects(search: EffectSearch, fits: StepFits) -> Fit:
     """Fit with all effects found; those with which it fails are removed, the newest first."""
     while search.reported:
         try:
-            return fit(search.model.experiment_with(search.reported), search.progress)
+            return fits.of(search.reported)
         except FAILURES as failure:
+            fits.forget()
             search.remove_failed(search.reported[-1], failure)
-    return first
+    return fits.first
 
 
-def _steps(search: EffectSearch, first: Fit, last: Fit, simulate: bool, stages: Stages) -> list[DiagnosisStep]:
+def _steps(search: EffectSearch, fits: StepFits, last: Fit, simulate: bool, stages: Stages) -> list[DiagnosisStep]:
     """Steps of the diagnosis, with the nonlinear parameters of the final model."""
     steps: list[DiagnosisStep] = []
-    previous = first
-    before = errors_of_fit(first)
+    previous = fits.first
+    before = errors_of_fit(fits.first)
     for count, effect in enumerate(search.reported, 1):
         current = last
         if count < len(search.reported):
-            fit_first = partial(_fit_with_first_effects, search, count)
+            fit_first = partial(fits.of, search.reported[:count])
             current = stages.run("the error of a step", fit_first, last, is_short=True)
         after = errors_of_fit(current)
         if simulate and current is not last:
@@ -318,14 +320,6 @@ def _step(
         is_assumed=effect.is_assumed,
     )
     return replace(step, sentence=step_sentence(step, experiment.model))
-
-
-def _fit_with_first_effects(search: EffectSearch, count: int) -> Fit:
-    """Fit of the model with the first effects found, as many as ``count``.
-
-    It is made as the fit of the final model is, so that their errors can be compared.
-    """
-    return fit(search.model.experiment_with(search.reported[:count]), search.progress)
 
 
 def _parameters(effect: AddedEffect, last: Fit) -> tuple[dict[str, object], dict[str, object]]:

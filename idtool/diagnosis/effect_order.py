@@ -9,14 +9,14 @@ from idtool.diagnosis.error_summary import MAX_ERROR_RATIO, errors_of_fit
 from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.held_out_error import held_out_log_change
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
-from idtool.estimation.fit import fit
+from idtool.estimation.fit import Fit, fit
 
 _MIN_LOG_DECREASE = 0.1  # of the squared error where the direction of friction is known, that excuses an increase
 
 Errors = Mapping[str, float]  # rms torque errors by joint, and ``overall`` [N·m or N]
 
 
-def order_effects(search: EffectSearch, initial_errors: Errors) -> None:
+def order_effects(search: EffectSearch, fits: StepFits) -> None:
     """Order the effects so that each lowers the held-out error when it is added to those before it.
 
     One that increases the error is moved to the end, since a right but small effect may do so as long as a larger one
@@ -32,16 +32,15 @@ def order_effects(search: EffectSearch, initial_errors: Errors) -> None:
     ----------
     search
         The search that found them.
-    initial_errors
-        Torque errors of the model without effects.
+    fits
+        Fits of the model with some of them.
     """
-    errors = StepErrors(search, initial_errors)
     has_held_out = search.current.experiment.has_held_out
     reason = "it increases the error on the held-out data" if has_held_out else "it increases the error"
     excused: list[AddedEffect] = []
     moves = 0
     while search.reported:
-        harmful = first_harmful(search, errors, excused)
+        harmful = first_harmful(search, fits, excused)
         if harmful is None:
             return
         may_move = moves < len(search.reported) ** 2
@@ -50,80 +49,86 @@ def order_effects(search: EffectSearch, initial_errors: Errors) -> None:
             moves += 1
             continue
         if not may_move:
-            harmful = _most_harmful(search, errors, excused)
+            harmful = _most_harmful(search, fits, excused)
             if harmful is None:
                 return
         if _helps_where_friction_is_known(search, harmful):
             excused.append(harmful)
             continue
+        fits.forget()
         search.remove(harmful, reason)
-        errors = StepErrors(search, errors.initial)
         moves = 0
 
 
-class StepErrors:
-    """Torque errors of the model with some of the effects found, held out if anything is; each is computed once.
+class StepFits:
+    """Fits of the model with some of the effects found, each of which is made once.
+
+    Attributes
+    ----------
+    first
+        Fit of the model without effects.
 
     Parameters
     ----------
     search
         The search that found the effects.
-    initial
-        Errors of the model without effects.
+    first
+        Fit of the model without effects.
     """
 
-    def __init__(self, search: EffectSearch, initial: Errors) -> None:
+    def __init__(self, search: EffectSearch, first: Fit) -> None:
         self._search = search
-        self.initial = initial
-        self._known: dict[frozenset[AddedEffect], Errors] = {frozenset(): initial}
+        self.first = first
+        self._known: dict[frozenset[AddedEffect], Fit] = {}
 
-    def of(self, effects: Sequence[AddedEffect]) -> Errors:
-        """Errors of the model with these effects."""
+    def of(self, effects: Sequence[AddedEffect]) -> Fit:
+        """Fit of the model with these effects; raises as `idtool.estimation.fit.fit`."""
+        if not effects:
+            return self.first
         key = frozenset(effects)
         if key not in self._known:
-            self._known[key] = self._evaluate(effects)
+            self._known[key] = fit(self._search.model.experiment_with(effects), self._search.progress)
         return self._known[key]
+
+    def forget(self) -> None:
+        """Forget all fits but the first, where effects are about to change."""
+        self._known.clear()
+
+    def errors_of(self, effects: Sequence[AddedEffect]) -> Errors:
+        """Torque errors of the model with these effects, held out if anything is."""
+        return errors_of_fit(self.of(effects)).torque
 
     def by_step(self, order: Sequence[AddedEffect]) -> Iterator[tuple[AddedEffect, Errors, Errors]]:
         """Each effect with the errors before and after it is added to those before it."""
-        before = self.initial
         for k, effect in enumerate(order):
-            after = self.of(order[: k + 1])
-            yield effect, before, after
-            before = after
-
-    def _evaluate(self, effects: Sequence[AddedEffect]) -> Errors:
-        fitted = fit(self._search.model.experiment_with(effects), self._search.progress)
-        return errors_of_fit(fitted).torque
+            yield effect, self.errors_of(order[:k]), self.errors_of(order[: k + 1])
 
 
-def first_harmful(
-    search: EffectSearch, errors: StepErrors, excused: Collection[AddedEffect] = ()
-) -> AddedEffect | None:
+def first_harmful(search: EffectSearch, fits: StepFits, excused: Collection[AddedEffect] = ()) -> AddedEffect | None:
     """First effect that increases the error over all joints when it is added to those before it; None: there is none.
 
     Parameters
     ----------
     search
         The search that found the effects.
-    errors
-        Errors with some of them.
+    fits
+        Fits with some of them.
     excused
         Effects that may increase the error.
     """
-    for effect, before, after in errors.by_step(search.reported):
+    for effect, before, after in fits.by_step(search.reported):
         is_harmful = after["overall"] > MAX_ERROR_RATIO * before["overall"]
         if is_harmful and effect not in excused:
             return effect
     return None
 
 
-def _most_harmful(search: EffectSearch, errors: StepErrors, excused: Collection[AddedEffect]) -> AddedEffect | None:
+def _most_harmful(search: EffectSearch, fits: StepFits, excused: Collection[AddedEffect]) -> AddedEffect | None:
     """Effect without which the error is least, all others being present; None if it is least with all."""
-    least_error = errors.of(search.reported)["overall"] / MAX_ERROR_RATIO
+    least_error = fits.errors_of(search.reported)["overall"] / MAX_ERROR_RATIO
     most_harmful = None
     for effect in search.reported:
-        error = errors.of(_others(search, effect))["overall"]
+        error = fits.errors_of(_others(search, effect))["overall"]
         if error < least_error and effect not in excused:
             least_error = error
             most_harmful = effect

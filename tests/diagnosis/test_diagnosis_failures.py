@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,13 +21,15 @@ from idtool.common.exceptions import ConfigError, SolverError
 from idtool.common.notice import Notice
 from idtool.data.signals import Motion
 from idtool.diagnosis import diagnose as module
-from idtool.diagnosis import effect_replacement, effect_search, extended_model, reversal_rows
+from idtool.diagnosis import effect_order, effect_replacement, effect_search, extended_model, reversal_rows
 from idtool.diagnosis.diagnose import Options, diagnose
+from idtool.diagnosis.effect_order import StepFits
 from idtool.diagnosis.effect_search import EffectSearch
-from idtool.diagnosis.extended_model import ExtendedModel
+from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.records import Diagnosis
 from idtool.dynamics.effects.parallel_spring import ParallelSpring
 from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.diagnosis_text import summary
 from idtool.robot.config import EffectEntry
@@ -110,13 +112,13 @@ def test_an_effect_that_fails_once_it_was_chosen_is_skipped(arm: Experiment, mon
 def test_an_effect_that_only_the_last_fit_cannot_have_is_left_out(
     arm: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    inner = module.fit
+    inner = effect_order.fit
 
     def fit(experiment: Experiment, *others: Any) -> Any:
         refuse_springs(experiment.config.effects)
         return inner(experiment, *others)
 
-    monkeypatch.setattr(module, "fit", fit)
+    monkeypatch.setattr(effect_order, "fit", fit)
     found = diagnosed(arm)
     assert SPRING not in named(found)
     assert any(warning.startswith(NOTE + REASON) for warning in sentences(found.notices))
@@ -125,10 +127,14 @@ def test_an_effect_that_only_the_last_fit_cannot_have_is_left_out(
 def test_a_step_whose_own_model_cannot_be_fitted_has_the_errors_of_the_whole(
     arm: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fit_with_first_effects(*arguments: Any) -> Any:
-        raise np.linalg.LinAlgError("Singular matrix")
+    inner = StepFits.of
 
-    monkeypatch.setattr(module, "_fit_with_first_effects", fit_with_first_effects)
+    def of(fits: StepFits, effects: Sequence[AddedEffect]) -> Fit:
+        if len(effects) == 1:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return inner(fits, effects)
+
+    monkeypatch.setattr(StepFits, "of", of)
     found = diagnosed(arm)
     assert named(found) == {SPRING, OFFSET}
     for step in found.steps:

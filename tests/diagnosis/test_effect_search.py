@@ -28,10 +28,9 @@ from idtool.diagnosis import (
     selection_round,
     trial,
 )
-from idtool.diagnosis.effect_order import StepErrors, first_harmful, order_effects
+from idtool.diagnosis.effect_order import StepFits, first_harmful, order_effects
 from idtool.diagnosis.effect_replacement import EffectReplacement
 from idtool.diagnosis.effect_search import EffectSearch
-from idtool.diagnosis.error_summary import errors_of_fit
 from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import probe_key
@@ -792,12 +791,12 @@ def test_an_effect_that_helps_only_beside_a_larger_one_comes_after_it(tmp_path: 
     experiment = experiment_of(tmp_path, together(stop, small))
     order = [("torque_offset", "j1"), ("end_stop", "j1")]
     search = search_with(experiment, order)
-    initial = errors_of_fit(fit(experiment, silent)).torque
-    assert first_harmful(search, StepErrors(search, initial)) is search.added[0]
-    order_effects(search, initial)
+    first = fit(experiment, silent)
+    assert first_harmful(search, StepFits(search, first)) is search.added[0]
+    order_effects(search, StepFits(search, first))
     assert owners(search) == order[::-1]
     assert not search.removed
-    assert first_harmful(search, StepErrors(search, initial)) is None
+    assert first_harmful(search, StepFits(search, first)) is None
 
 
 def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -809,7 +808,7 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
     changing = torque_on_joint(0, lambda t, q, v, tau: np.where(t < 0.69 * t[-1], 0.5, -0.5))
     experiment = with_fixed_inertia(experiment_of(tmp_path, together(changing, offset)))
     search = search_with(experiment, [("torque_offset", "j1"), OFFSET])
-    order_effects(search, errors_of_fit(fit(experiment, silent)).torque)
+    order_effects(search, StepFits(search, fit(experiment, silent)))
     assert owners(search) == entries_in_model(search) == [OFFSET]
     assert search.removed == ["Torque offset on j1 was removed again: it increases the error on the held-out data"]
 
@@ -822,13 +821,14 @@ def test_an_effect_that_increases_the_error_only_at_reversals_stays_if_it_helps_
     search = search_with(experiment_of(tmp_path, spring, rows=slice(4000)), [SPRING])
     give_errors(monkeypatch, [1.2])
     monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after, row_equation: log_change)
-    order_effects(search, {"overall": 1.0})
+    order_effects(search, StepFits(search, fit(search.current.experiment, silent)))
     assert owners(search) == left
 
 
 def give_errors(monkeypatch: pytest.MonkeyPatch, errors: Sequence[float]) -> None:
-    """Errors of the model with one effect, with two, and so on."""
-    monkeypatch.setattr(StepErrors, "_evaluate", lambda self, effects: {"overall": errors[len(effects) - 1]})
+    """Errors of the model with one effect, with two, and so on; without effects, 1."""
+    given = [1.0, *errors]
+    monkeypatch.setattr(StepFits, "errors_of", lambda self, effects: {"overall": given[len(effects)]})
 
 
 @pytest.mark.parametrize(("alone", "together", "left"), [(1.1, 0.5, [SPRING, OFFSET]), (1.1, 1.3, [])])
@@ -840,5 +840,5 @@ def test_effects_that_help_only_together_stay(
     search = search_with(experiment, [SPRING, OFFSET])
     give_errors(monkeypatch, [alone, together])
     monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after, row_equation: 0.5)
-    order_effects(search, {"overall": 1.0})
+    order_effects(search, StepFits(search, fit(search.current.experiment, silent)))
     assert sorted(owners(search)) == sorted(left)

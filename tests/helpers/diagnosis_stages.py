@@ -2,7 +2,7 @@
 
 STAGES = (
     "find_data_faults",
-    "_fit_with_first_effects",
+    "order_effects",
     "evaluate_errors",
     "residual_structure",
     "structured_noise_floor",
