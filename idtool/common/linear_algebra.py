@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array
 
+_RANK = 1e-9  # ratio to the largest singular value, up to which one counts as 0
+
 
 def svd(matrix: ArrayLike, *, full: bool = False) -> tuple[Array, Array, Array]:
     """Singular value decomposition U diag(s) Vᵀ of any finite matrix.
@@ -32,3 +34,30 @@ def svd(matrix: ArrayLike, *, full: bool = False) -> tuple[Array, Array, Array]:
     except np.linalg.LinAlgError:
         U, s, Vt = scipy.linalg.svd(matrix, full_matrices=full, lapack_driver="gesvd")
     return np.asarray(U), np.asarray(s), np.asarray(Vt)
+
+
+def null_space(matrix: ArrayLike) -> Array:
+    """Basis N of the null space of a matrix: orthonormal columns with matrix @ N = 0.
+
+    Variables that no row involves have unit vectors, so that their scales do not mix.
+
+    Parameters
+    ----------
+    matrix
+        Shape (n, m).
+
+    Returns
+    -------
+    N, shape (m, f).
+    """
+    matrix = np.asarray(matrix, dtype=np.float64)
+    is_involved = matrix.any(axis=0)
+    involved = matrix[:, is_involved]
+    _, s, Vt = svd(involved, full=True)
+    rank = int(np.count_nonzero(s > _RANK * s.max(initial=0.0)))
+    rest = Vt[rank:].T
+    free_count = int(np.count_nonzero(~is_involved))
+    N = np.zeros((matrix.shape[1], free_count + rest.shape[1]))
+    N[~is_involved, :free_count] = np.eye(free_count)
+    N[is_involved, free_count:] = rest
+    return N

@@ -22,7 +22,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
-from idtool.common.linear_algebra import svd
+from idtool.common.linear_algebra import null_space
 from idtool.data.signals import Batch
 from idtool.diagnosis.noise_gain import noise_gain_of
 from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
@@ -384,7 +384,7 @@ def _directions(
     barrier = Barrier(problem, 2 * A.T @ A, 2 * A.T @ problem.b, gap)
     x = barrier.x
     information = samples * (A.T @ A + barrier.curvature(x) / 2)  # the cost is a mean over the samples
-    free = _null_space(problem.E @ problem.S, len(x))
+    free = null_space(problem.E @ problem.S)
     to_theta = problem.K @ (problem.scale[:, None] * problem.S)
     directions = to_theta @ free @ _whitening(free.T @ information @ free)
 
@@ -402,14 +402,6 @@ def _whitening(information: Array) -> Array:
     values, vectors = np.linalg.eigh(information / size[:, None] / size)
     keep = values > _RANK * values.max(initial=0.0)
     return np.asarray(vectors[:, keep] / size[:, None] / np.sqrt(values[keep]))
-
-
-def _null_space(E: Array, count: int) -> Array:
-    """Basis of the directions that the equalities E x = 0 leave free, shape (count, free)."""
-    if not len(E):
-        return np.eye(count)
-    _, s, Vt = svd(E, full=True)
-    return np.asarray(Vt[int(np.count_nonzero(s > 1e-9 * s[0])) :].T)
 
 
 def _block_sums(

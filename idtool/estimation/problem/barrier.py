@@ -5,7 +5,8 @@
 X_i(x) = Σ_k x_k G_k − interior · 1 for every inequality, entry by entry where it is on a vector, and the problem's
 log-dets, if it has any. Its minimiser costs at most mu nu more than the least within the inequalities, nu the rows of
 all X_i together (Nesterov & Nemirovskii 1994), and is strictly inside. Newton's method on it does not depend on units,
-nor on how far the eigenvalues of P lie apart: where P has changed little one step is enough.
+nor on how far the eigenvalues of P lie apart: where P has changed little one step is enough. Steps are in the null
+space N of E S, so that rounding does not leave the equations.
 
 Letters: m variables x; P (m, m), q (m,); B inequalities of one form, of K variables and n rows each.
 """
@@ -17,10 +18,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import SolverError
+from idtool.common.linear_algebra import null_space
 from idtool.estimation.problem.problem import Problem
 
 _LAST_STEP = 0.3  # in the barrier's own length: a shorter step ends the search, what is left is a tenth of it squared
@@ -128,6 +130,7 @@ class Barrier:
         self.nu = sum(int(np.prod(group.least.shape[:2])) for group in self._groups)
         self._mu = gap / max(self.nu, 1)
         self._E, self._e = problem.E @ problem.S, problem.e
+        self._N = null_space(self._E)
         self._center = self._strictly_inside(P, q, start)
         self.x = self._center
         self.move(P, q)
@@ -138,18 +141,21 @@ class Barrier:
         Starts at x, or at ``start``, strictly inside, shape (m,).
         """
         q = q - share * self._slope
-        self.x = self.x if start is None else start
+        self.x = self.x if start is None else self._with_equations(start)
         mu, lowest = self._mu, self._mu
+        minimum = self._center
         for _ in range(_MOST_WEIGHTS):
             log_dets = [replace(group, weight=share * group.weight / mu) for group in self._log_dets]
-            self.x, is_minimum = _minimise(self._groups + log_dets, P / mu, q / mu, self.x, self._E, self._e)
+            self.x, is_minimum = _minimise(self._groups + log_dets, P / mu, q / mu, self.x, self._N)
             if is_minimum and mu == lowest:
-                break
+                return self.x
             if is_minimum:
+                minimum = self.x
                 mu = max(mu / _WEIGHT_DOWN, lowest)
             else:  # it has hugged the boundary in the wrong place: the way leads through the middle
                 self.x = 0.5 * (self.x + self._center)
                 mu = _WEIGHT_UP * mu
+        self.x = minimum  # with a larger weight
         return self.x
 
     def curvature(self, x: Array) -> Array:
@@ -182,10 +188,10 @@ class Barrier:
             relaxed += group.relaxed(slack=m)
         P_relaxed = np.zeros((m + 1, m + 1))
         P_relaxed[:m, :m] = P
-        E_relaxed = np.column_stack([self._E, np.zeros(len(self._e))])
+        N_relaxed = block_diag(self._N, np.ones((1, 1)))
         x = np.append(x, 1 - min(group.smallest(x) for group in inequalities))
         for pull in _PULLS:
-            x, _ = _minimise(relaxed, P_relaxed, np.append(q, -pull), x, E_relaxed, self._e)
+            x, _ = _minimise(relaxed, P_relaxed, np.append(q, -pull), x, N_relaxed)
             if x[-1] < 0:
                 return x[:m]
         what = "no parameters satisfy both the constraints and the exactly known values; relax one of them"
@@ -245,8 +251,13 @@ def _concatenated(groups: list[_Group]) -> _Group:
     )
 
 
-def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, E: Array, e: Array) -> tuple[Array, bool]:
-    """Newton's method with a line search from x, strictly inside; the minimiser, and true if it converged."""
+def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, N: Array) -> tuple[Array, bool]:
+    """Newton's method with a line search from x, strictly inside, along the columns of N, shape (m, f).
+
+    Returns
+    -------
+    The minimiser, and true if it converged.
+    """
     for _ in range(_MOST_STEPS):
         gradient = P @ x - q
         H = P.copy()
@@ -254,7 +265,7 @@ def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, E: Array, e: A
             slope, curvature = group.derivatives(x)
             gradient[group.variables] += slope
             H[group.variables[:, :, None], group.variables[:, None, :]] += curvature
-        step = _newton(H, gradient, E, E @ x - e)
+        step = _newton(H, gradient, N)
         if step is None:
             break
         if not groups:
@@ -269,21 +280,19 @@ def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, E: Array, e: A
     return x, False
 
 
-def _newton(H: Array, gradient: Array, E: Array, residual: Array) -> Array | None:
-    """Step to the minimum of the second-order model, with E · step = −residual.
+def _newton(H: Array, gradient: Array, N: Array) -> Array | None:
+    """Step to the minimum of the second-order model along the columns of N, shape (m, f).
 
     None: rounding has left nothing of the model.
     """
-    size = 1 / np.sqrt(H.diagonal())
+    H_free = N.T @ H @ N
+    size = 1 / np.sqrt(H_free.diagonal())
     try:
-        factor = cho_factor(H * size[:, None] * size, check_finite=False)
-        step = -size * cho_solve(factor, size * gradient, check_finite=False)
-        if len(E):
-            across = size[:, None] * cho_solve(factor, size[:, None] * E.T, check_finite=False)
-            step -= across @ np.linalg.solve(E @ across, E @ step + residual)
+        factor = cho_factor(H_free * size[:, None] * size, check_finite=False)
+        step = -size * cho_solve(factor, size * (N.T @ gradient), check_finite=False)
     except np.linalg.LinAlgError:
         return None
-    return np.asarray(step)
+    return np.asarray(N @ step)
 
 
 def _search(slope: float, curvature: float, rates: Array, weights: Array) -> float:
