@@ -106,6 +106,42 @@ def test_what_is_known_exactly_holds_exactly(stated: Stated, rng: np.random.Gene
     assert half_cost(problem, barrier.x) - best < 1.01 * GAP + 1e-6 * best
 
 
+def test_what_is_known_exactly_holds_beside_large_errors(stated: Stated, rng: np.random.Generator) -> None:
+    """All bodies, by data that are wrong by far more than anything that is known."""
+    problem = with_data(stated("none"), rng, 1e4)
+    bodies = np.delete(np.eye(len(problem.scale)), problem.other_coefficients, axis=0)
+    values = rng.normal(size=len(bodies))
+    problem = replace(problem, E=bodies, e=values)
+    best = half_cost(problem, solve(problem)[0])
+    barrier = Barrier(problem, *normal(problem), gap=1e-4 * best)
+    np.testing.assert_allclose(bodies @ problem.S @ barrier.x, values, atol=1e-10)
+    inside(problem, barrier.x)
+    assert half_cost(problem, barrier.x) - best < 1.01e-4 * best
+
+
+def test_without_convergence_the_minimum_with_a_larger_weight_counts(
+    stated: Stated, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from idtool.estimation.problem import barrier as module
+
+    problem = with_data(stated("ellipsoid"), rng, 10.0)
+    P, q = normal(problem)
+    minimise = module._minimise
+    least_weight = GAP / Barrier(problem, P, q, GAP).nu
+
+    def fail_at_least_weight(groups: Any, P_by_weight: Array, *others: Any) -> tuple[Array, bool]:
+        x, is_minimum = minimise(groups, P_by_weight, *others)
+        is_least = P_by_weight.diagonal().max() > 0.5 * P.diagonal().max() / least_weight
+        return x, is_minimum and not is_least
+
+    monkeypatch.setattr(module, "_minimise", fail_at_least_weight)
+    monkeypatch.setattr(module, "_MOST_WEIGHTS", 7)  # the last of them is the least
+    barrier = Barrier(problem, P, q, GAP)
+    inside(problem, barrier.x)
+    best = half_cost(problem, solve(problem, tol_feas=1e-10)[0])
+    assert GAP < half_cost(problem, barrier.x) - best < 1.01 * 10 * GAP + 1e-6 * best
+
+
 def test_where_rounding_leaves_nothing_there_is_no_step() -> None:
     """No error of LAPACK's; along a part of the directions there is one."""
     second = np.array([[0.0], [1.0]])
