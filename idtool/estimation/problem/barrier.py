@@ -138,10 +138,10 @@ class Barrier:
     def move(self, P: Array, q: Array, share: float = 1.0, start: Array | None = None) -> Array:
         """Follow the minimiser to another function, with the log-dets times ``share``; returns x.
 
-        Starts at x, or at ``start``, strictly inside, shape (m,).
+        Starts at x, or at ``start``, strictly inside and on the exact constraints, shape (m,).
         """
         q = q - share * self._slope
-        self.x = self.x if start is None else self._with_equations(start)
+        self.x = self.x if start is None else start
         mu, lowest = self._mu, self._mu
         minimum = self._center
         for _ in range(_MOST_WEIGHTS):
@@ -259,12 +259,10 @@ def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, N: Array) -> t
     The minimiser, and true if it converged.
     """
     for _ in range(_MOST_STEPS):
-        gradient = P @ x - q
-        H = P.copy()
-        for group in groups:
-            slope, curvature = group.derivatives(x)
-            gradient[group.variables] += slope
-            H[group.variables[:, :, None], group.variables[:, None, :]] += curvature
+        try:
+            gradient, H = _derivatives(groups, P, q, x)
+        except np.linalg.LinAlgError:  # so near the boundary that rounding has left nothing
+            break
         step = _newton(H, gradient, N)
         if step is None:
             break
@@ -278,6 +276,17 @@ def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, N: Array) -> t
         first, second = float((P @ x - q) @ step), float(step @ P @ step)
         x = x + _search(first, second, np.concatenate(rates), weights) * step
     return x, False
+
+
+def _derivatives(groups: list[_Group], P: Array, q: Array, x: Array) -> tuple[Array, Array]:
+    """Gradient, shape (m,), and Hessian, shape (m, m), of the function with its barrier, strictly inside."""
+    gradient = P @ x - q
+    H = P.copy()
+    for group in groups:
+        slope, curvature = group.derivatives(x)
+        gradient[group.variables] += slope
+        H[group.variables[:, :, None], group.variables[:, None, :]] += curvature
+    return gradient, H
 
 
 def _newton(H: Array, gradient: Array, N: Array) -> Array | None:
