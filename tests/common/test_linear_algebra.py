@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from idtool.common.linear_algebra import svd
+from idtool.common.linear_algebra import null_space, svd
 
 
 @pytest.mark.parametrize("shape", [(7, 4), (4, 7), (5, 5)])
@@ -25,3 +25,20 @@ def test_a_decomposition_is_one(
     assert (U.shape, Vt.shape) == (((n, n), (m, m)) if full else ((n, len(s)), (len(s), m)))
     np.testing.assert_allclose((U[:, : len(s)] * s) @ Vt[: len(s)], matrix, rtol=0, atol=1e-12)
     assert (np.diff(s) <= 0).all()
+
+
+def test_the_null_space_leaves_variables_that_no_row_involves_as_they_are() -> None:
+    matrix = np.array([[0.0, 3.0, 0.0, 4.0], [0.0, 6.0, 0.0, 8.0]])
+    N = null_space(matrix)
+    np.testing.assert_allclose(matrix @ N, 0, atol=1e-14)
+    np.testing.assert_allclose(N.T @ N, np.eye(3), atol=1e-14)
+    np.testing.assert_array_equal(N[:, :2], np.eye(4)[:, [0, 2]])
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_the_null_space_of_nothing_is_the_whole_space(rows: int) -> None:
+    np.testing.assert_array_equal(null_space(np.zeros((rows, 3))), np.eye(3))
+
+
+def test_where_everything_is_fixed_the_null_space_is_empty() -> None:
+    assert null_space(np.diag([1.0, 1e-6])).shape == (2, 0)

@@ -10,10 +10,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import stats
-from scipy.linalg import null_space
 
 from idtool.common.arrays import Array, Mask
-from idtool.common.linear_algebra import svd
+from idtool.common.linear_algebra import null_space, svd
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
@@ -175,7 +174,7 @@ def observable_directions(
     size[size == 0] = 1.0
 
     exact = np.array([constraint.row @ equalities.K / size for constraint in equalities.hard]).reshape(-1, len(size))
-    N = null_space(exact) if len(exact) else np.eye(len(size))
+    N = null_space(exact)
     _, s, Vt = svd(W / size @ N, full=True)
     rank = int(np.count_nonzero(s > _RANK * s[0])) if len(s) else 0
 
