@@ -32,12 +32,17 @@ def step_sentence(step: DiagnosisStep, model: RobotModel) -> str:
     if step.entry is None:
         where = f" ({region})" if region else ""
         return f"The residual has structure{where} that the model does not explain"
-    description = capitalized(effect_types()[step.chosen.effect].description)
+    kind = effect_types()[step.chosen.effect]
+    description = capitalized(kind.description)
+    others = {p.name: p.arbitrary_beside for p in kind.nonlinear_parameters if p.arbitrary_beside is not None}
     units = effect_from_entry(step.entry, model).parameter_units()
     parameters = []
     for name, value in list(step.parameters.items())[:_MAX_PARAMETERS]:
         error = step.standard_error.get(name)
-        parameters.append(_parameter(name, value, error if isinstance(error, float) else None, units))
+        text = _parameter(name, value, error if isinstance(error, float) else None, units)
+        if name in others and error is None:
+            text += f", without influence beside the {effect_name(others[name])}"
+        parameters.append(text)
     where = "" if region in ("", "in the whole log") else f"The residual was concentrated {region}. "
     source = "Assumed, not found. " if step.is_assumed else ""
     return f"{description} ({', '.join(parameters)}). {source}{where}{_improvement(step, model.units)}"

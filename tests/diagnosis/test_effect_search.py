@@ -28,6 +28,7 @@ from idtool.diagnosis import (
     selection_round,
     trial,
 )
+from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.effect_order import StepFits, first_harmful, order_effects
 from idtool.diagnosis.effect_replacement import EffectReplacement
 from idtool.diagnosis.effect_search import EffectSearch
@@ -194,6 +195,18 @@ def test_two_effects_without_a_common_substitute_are_not_replaced_together(
     searched = record_searched(monkeypatch)
     search._replace_effects()
     assert searched == [[OFFSET], [SPRING]]
+
+
+def test_beside_an_offset_a_spring_needs_no_rest_position(tmp_path: Path) -> None:
+    """Its torque at rest is the offset's, whatever the rest position."""
+    friction = {"viscous": False, "coulomb": False, "offset": True}
+    experiment = experiment_of(tmp_path, spring, rows=slice(8000), friction=friction)
+    found = diagnose(with_fixed_inertia(experiment), Options(effects=("parallel_spring",), simulate=False), silent)
+    (step,) = found.steps
+    assert (step.chosen.effect, step.chosen.target) == SPRING
+    assert step.parameters["stiffness"] == pytest.approx(STIFFNESS, rel=0.01)
+    assert step.standard_error["rest_position"] is None
+    assert "rest position 0 rad, without influence beside the torque offset" in step.sentence
 
 
 def test_what_the_user_assumes_stays(tmp_path: Path) -> None:

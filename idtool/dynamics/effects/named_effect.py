@@ -52,6 +52,8 @@ class NonlinearParameter:
         Largest value of a parameter that may be left out and is then 0; None: it may not be left out.
     open_ended
         True if the effect is reported whatever the value's standard error, even at an end of what the search tries.
+    arbitrary_beside
+        Id of an effect; on a joint that has it, the value has no influence. None: it always has.
     """
 
     name: str
@@ -63,6 +65,7 @@ class NonlinearParameter:
     max_relative_error: float = 0.4
     optional_maximum: float | None = None
     open_ended: bool = False
+    arbitrary_beside: str | None = None
 
 
 class NamedEffect(Effect):

@@ -33,7 +33,7 @@ class ParallelSpring(JointTerm):
     coefficient_name = "stiffness"
     is_commonplace = True
     units = ("N·m/rad", "N/m")
-    nonlinear_parameters = (NonlinearParameter("rest_position", ("rad", "m")),)
+    nonlinear_parameters = (NonlinearParameter("rest_position", ("rad", "m"), arbitrary_beside="torque_offset"),)
 
     @classmethod
     @override
