@@ -20,11 +20,11 @@ def order_effects(search: EffectSearch, fits: StepFits) -> None:
     """Order the effects so that each lowers the held-out error when it is added to those before it.
 
     One that increases the error is moved to the end, since a right but small effect may do so as long as a larger one
-    is missing; if it increases the error there too, it is removed. If no such order is found, the effect without which
-    the error is least is removed. Two kinds of effects stay although they increase the error at their place: those that
-    lower it only together with others, and those that increase it only near reversals and lower it elsewhere. Near
-    reversals the direction of friction is uncertain, and chance decides whether an effect that shifts the jump of
-    friction increases the error.
+    is missing, and from there to the first place where no step does. If there is none, it is removed. If moving has no
+    end, the effect without which the error is least is removed. Two kinds of effects stay although they increase the
+    error at their place: those that lower it only together with others, and those that increase it only near reversals
+    and lower it elsewhere. Near reversals the direction of friction is uncertain, and chance decides whether an effect
+    that shifts the jump of friction increases the error.
 
     Without held-out data, the error on the training data decides.
 
@@ -40,7 +40,7 @@ def order_effects(search: EffectSearch, fits: StepFits) -> None:
     excused: list[AddedEffect] = []
     moves = 0
     while search.reported:
-        harmful = first_harmful(search, fits, excused)
+        harmful = first_harmful(search.reported, fits, excused)
         if harmful is None:
             return
         may_move = moves < len(search.reported) ** 2
@@ -52,6 +52,10 @@ def order_effects(search: EffectSearch, fits: StepFits) -> None:
             harmful = _most_harmful(search, fits, excused)
             if harmful is None:
                 return
+        order = _harmless_order(_others(search, harmful), harmful, fits, excused)
+        if order is not None:
+            search.reorder(order)
+            return
         if _helps_where_friction_is_known(search, harmful):
             excused.append(harmful)
             continue
@@ -104,22 +108,35 @@ class StepFits:
             yield effect, self.errors_of(order[:k]), self.errors_of(order[: k + 1])
 
 
-def first_harmful(search: EffectSearch, fits: StepFits, excused: Collection[AddedEffect] = ()) -> AddedEffect | None:
+def first_harmful(
+    order: Sequence[AddedEffect], fits: StepFits, excused: Collection[AddedEffect] = ()
+) -> AddedEffect | None:
     """First effect that increases the error over all joints when it is added to those before it; None: there is none.
 
     Parameters
     ----------
-    search
-        The search that found the effects.
+    order
+        The effects found, in an order.
     fits
         Fits with some of them.
     excused
         Effects that may increase the error.
     """
-    for effect, before, after in fits.by_step(search.reported):
+    for effect, before, after in fits.by_step(order):
         is_harmful = after["overall"] > MAX_ERROR_RATIO * before["overall"]
         if is_harmful and effect not in excused:
             return effect
+    return None
+
+
+def _harmless_order(
+    others: Sequence[AddedEffect], harmful: AddedEffect, fits: StepFits, excused: Collection[AddedEffect]
+) -> list[AddedEffect] | None:
+    """Order with an effect among the others in which no step increases the error; None if there is none."""
+    for place in range(len(others)):
+        order = [*others[:place], harmful, *others[place:]]
+        if first_harmful(order, fits, excused) is None:
+            return order
     return None
 
 

@@ -229,8 +229,12 @@ class EffectSearch:
 
     def move_to_end(self, effect: AddedEffect) -> None:
         """Report an effect after all others."""
-        self.model.drop([effect])
-        self.model.added.append(effect)
+        self.reorder([effect])
+
+    def reorder(self, effects: Sequence[AddedEffect]) -> None:
+        """Report effects in this order, after all others."""
+        self.model.drop(effects)
+        self.model.added += effects
 
     def remove_failed(self, effect: AddedEffect, failure: Exception) -> None:
         """Remove an effect with which the whole model cannot be fitted."""

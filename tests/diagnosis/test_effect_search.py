@@ -805,11 +805,11 @@ def test_an_effect_that_helps_only_beside_a_larger_one_comes_after_it(tmp_path: 
     order = [("torque_offset", "j1"), ("end_stop", "j1")]
     search = search_with(experiment, order)
     first = fit(experiment, silent)
-    assert first_harmful(search, StepFits(search, first)) is search.added[0]
+    assert first_harmful(search.reported, StepFits(search, first)) is search.added[0]
     order_effects(search, StepFits(search, first))
     assert owners(search) == order[::-1]
     assert not search.removed
-    assert first_harmful(search, StepFits(search, first)) is None
+    assert first_harmful(search.reported, StepFits(search, first)) is None
 
 
 def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -836,6 +836,19 @@ def test_an_effect_that_increases_the_error_only_at_reversals_stays_if_it_helps_
     monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after, row_equation: log_change)
     order_effects(search, StepFits(search, fit(search.current.experiment, silent)))
     assert owners(search) == left
+
+
+def test_an_effect_that_helps_only_before_a_larger_one_comes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By errors that are given here: the offset increases the error after the spring, and not before it."""
+    search = search_with(experiment_of(tmp_path, spring, rows=slice(4000)), [SPRING, OFFSET])
+    larger, smaller = search.added
+    errors = {frozenset(): 1.0, frozenset([larger]): 0.5, frozenset([smaller]): 0.99, frozenset(search.added): 0.501}
+    monkeypatch.setattr(StepFits, "errors_of", lambda self, effects: {"overall": errors[frozenset(effects)]})
+    order_effects(search, StepFits(search, fit(search.current.experiment, silent)))
+    assert owners(search) == [OFFSET, SPRING]
+    assert not search.removed
 
 
 def give_errors(monkeypatch: pytest.MonkeyPatch, errors: Sequence[float]) -> None:
