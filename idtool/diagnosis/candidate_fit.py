@@ -18,7 +18,7 @@ from idtool.diagnosis.model_selection import FittedCandidate, block_gains, is_re
 from idtool.diagnosis.noise_floor import estimate_noise_floor
 from idtool.diagnosis.screen import ScreenedProbe
 from idtool.diagnosis.trial import FAILURES, TrialFit, fit_trial, on_rows_of, parameter_value
-from idtool.dynamics.effects import effect_types
+from idtool.dynamics.effects import NamedEffect, effect_types
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.named_effect import NonlinearParameter
@@ -85,7 +85,7 @@ def fit_and_judge(
     reason = rejection_reason(fitted, base, initial, summary, progress)
     imitators = possible_imitators(base, candidate.probe.joint, movable)
     gains_as_predicted = fitted.gain > _MIN_SHARE_OF_SCREENED_GAIN * candidate.gain
-    is_undetermined = bool(_undetermined_parameter(fitted.trial, len(fitted.trial.entries) - 1))
+    is_undetermined = bool(_undetermined_parameter(fitted.trial, len(fitted.trial.entries) - 1, initial))
     is_final = gains_as_predicted and (not reason or is_undetermined)
     may_replace = max(fitted.gain, candidate.gain) > MIN_REPLACING_GAIN_RATIO * replaced_gain
     if is_final or not imitators or not may_replace:
@@ -248,7 +248,7 @@ def rejection_reason(
             return reason
         if not _is_present_within_bounds(fit, trial.entries[index]):
             return "reaches its bounds when fitted with the rest of the model"
-        parameter = _undetermined_parameter(trial, index)
+        parameter = _undetermined_parameter(trial, index, initial)
         if parameter:
             return f"its {parameter} is not determined by the data"
     if effect_types()[candidate.probe.effect].is_undefined_where_it_acts:
@@ -363,7 +363,7 @@ def _worsens_held_out_error(candidate: FittedCandidate, base: LinearizedFit) -> 
     return bool(with_effect[is_acted_on].sum() > _MAX_HELD_OUT_RATIO * without[is_acted_on].sum())
 
 
-def _undetermined_parameter(trial: TrialFit, index: int) -> str:
+def _undetermined_parameter(trial: TrialFit, index: int, initial: LinearizedFit | None = None) -> str:
     """First nonlinear parameter of an effect that the data do not determine; empty if there is none.
 
     Its standard error is too large, or its value is at an end of its range.
@@ -374,9 +374,12 @@ def _undetermined_parameter(trial: TrialFit, index: int) -> str:
         The fit.
     index
         Index of the effect in its entries.
+    initial
+        The model without any of the effects found, beside whose effects a parameter may have no influence; None: all
+        parameters must have some.
     """
     entry = trial.entries[index]
-    imprecise = imprecise_parameter(entry, _errors_of_effect(trial, index))
+    imprecise = imprecise_parameter(entry, _errors_of_effect(trial, index), initial)
     if imprecise:
         return imprecise
     for parameter in effect_types()[entry.effect].nonlinear_parameters:
@@ -389,7 +392,7 @@ def _undetermined_parameter(trial: TrialFit, index: int) -> str:
     return ""
 
 
-def imprecise_parameter(entry: EffectEntry, errors: Mapping[str, float]) -> str:
+def imprecise_parameter(entry: EffectEntry, errors: Mapping[str, float], initial: LinearizedFit | None = None) -> str:
     """First nonlinear parameter of an effect whose standard error is too large; empty if there is none.
 
     Parameters
@@ -398,8 +401,12 @@ def imprecise_parameter(entry: EffectEntry, errors: Mapping[str, float]) -> str:
         The entry.
     errors
         Standard errors of its nonlinear parameters; those that were not moved cannot be judged, and have none.
+    initial
+        As for `_undetermined_parameter`.
     """
     for parameter in effect_types()[entry.effect].nonlinear_parameters:
+        if initial is not None and _is_arbitrary(parameter, entry, initial):
+            continue
         value = parameter_value(entry, parameter.name)
         error = errors.get(parameter.name)
         if error is None or not _must_be_determined(parameter) or not isinstance(value, float):
@@ -407,6 +414,13 @@ def imprecise_parameter(entry: EffectEntry, errors: Mapping[str, float]) -> str:
         if not error < _max_standard_error(parameter, value):
             return parameter.name
     return ""
+
+
+def _is_arbitrary(parameter: NonlinearParameter, entry: EffectEntry, initial: LinearizedFit) -> bool:
+    """True if a parameter has no influence beside the effects of the model that the search began with."""
+    effects = initial.experiment.equation.effects
+    subjects = [effect.key[:2] for effect in effects if isinstance(effect, NamedEffect)]
+    return (parameter.arbitrary_beside, entry.joint) in subjects
 
 
 def _must_be_determined(parameter: NonlinearParameter) -> bool:

@@ -383,7 +383,7 @@ class EffectSearch:
         reason = implausibility(self.current, effect.entry, robot)
         if reason:
             return reason
-        parameter = imprecise_parameter(effect.entry, effect.errors)
+        parameter = imprecise_parameter(effect.entry, effect.errors, self.initial)
         return f"its {parameter.replace('_', ' ')} is not determined by the data" if parameter else ""
 
     def _remove_unproven(self) -> None:

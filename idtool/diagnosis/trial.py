@@ -20,7 +20,7 @@ from idtool.data.signals import Motion
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes, with_free_parameters
 from idtool.diagnosis.summarize_data import summarize_data
-from idtool.dynamics.effects import NamedEffect, build_effects, effect_types
+from idtool.dynamics.effects import build_effects, effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe, joined_probe
@@ -196,7 +196,7 @@ def fit_trial(
         initial_error = current.total_cv_squared_error
         if len(optimized) > 1:
             current = _step_of_linear_effects(current, optimized, ranges, progress)
-        keys = _gradient_keys(current.experiment, optimized)
+        keys = _gradient_keys(current.experiment.config.effects, optimized)
         if not keys:
             break
         current, step_errors = _gauss_newton_step(current, keys, ranges, progress)
@@ -288,30 +288,18 @@ def _movable_parameter_probe(current: LinearizedFit, optimized: Sequence[int]) -
             others.append(i)
         else:
             probes.append(linear[0])
-    keys = _gradient_keys(current.experiment, others)
+    keys = _gradient_keys(entries, others)
     if keys:
         probes.append(_parameter_probe(current, keys, _parameter_ranges(current, entries, others)))
     return reduce(joined_probe, probes) if probes else None
 
 
-def _gradient_keys(experiment: Experiment, optimized: Sequence[int]) -> list[ParameterKey]:
-    """Numeric parameters of some effects that are moved along a gradient; not those that have no influence.
-
-    Parameters
-    ----------
-    experiment
-        Model with the effects.
-    optimized
-        Indices of the effects whose nonlinear parameters are optimized.
-    """
-    present = {effect.key[:2] for effect in experiment.equation.effects if isinstance(effect, NamedEffect)}
+def _gradient_keys(entries: Sequence[EffectEntry], optimized: Sequence[int]) -> list[ParameterKey]:
+    """Numeric parameters that are moved along a gradient."""
     keys = []
     for i in optimized:
-        entry = experiment.config.effects[i]
-        kind = effect_types()[entry.effect]
-        arbitrary = [p.name for p in kind.nonlinear_parameters if (p.arbitrary_beside, entry.joint) in present]
-        for name in kind.gradient_parameters():
-            if name not in arbitrary and isinstance(parameter_value(entry, name), float):
+        for name in effect_types()[entries[i].effect].gradient_parameters():
+            if isinstance(parameter_value(entries[i], name), float):
                 keys.append((i, name))
     return keys
 
@@ -386,7 +374,7 @@ def _step_of_linear_effect(
     if linear is None:
         return current
     own_probe, coefficients = linear
-    keys = _gradient_keys(current.experiment, others)
+    keys = _gradient_keys(entries, others)
     probe = joined_probe(own_probe, _parameter_probe(current, keys, ranges)) if keys else own_probe
     (screened,) = screen_probes(current, [probe], progress, "optimizing nonlinear parameters")
     count = own_probe.coefficient_count

@@ -498,7 +498,7 @@ def test_what_is_optional_gives_way_to_what_the_data_then_determine(
             states.append(states[-1] + path / 0.05 * (1 - states[-1] * np.sign(path)))
         return 0.8 * np.array(states)
 
-    def undetermined(trial: TrialFit, place: int) -> str:
+    def undetermined(trial: TrialFit, place: int, *others: Any) -> str:
         return "displacement" if "damping" in trial.entries[-1].parameters else ""
 
     experiment = experiment_of(tmp_path, torque_on_joint(0, dahl), rows=slice(8000))
