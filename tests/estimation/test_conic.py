@@ -19,7 +19,7 @@ from synthetic import Synthetic, bounds, synthetic
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.estimation.problem.certificate import GAP, lower_bound
 from idtool.estimation.problem.conic import SOLVER_INTERIOR, Solution, smat, solve_conic, svec
-from idtool.estimation.problem.estimate import solve
+from idtool.estimation.problem.estimate import solve, solve_with_backend
 from idtool.estimation.problem.prior import moved_priors
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.body import Body
@@ -355,6 +355,25 @@ def test_an_attempt_that_gives_up_hides_no_proof_that_nothing_fulfils_the_constr
     monkeypatch.setattr("idtool.estimation.problem.conic.clarabel.DefaultSolver", giving_up)
     with pytest.raises(InfeasibleError):
         solve(problem)
+
+
+@pytest.mark.parametrize("by_cvxpy", [False, True])
+def test_the_solver_has_no_threads_of_its_own(state: State, monkeypatch: pytest.MonkeyPatch, by_cvxpy: bool) -> None:
+    """A copy of the process has none of them: on a quadruped, a diagnosis waited for them forever."""
+    threads = []
+    inner = clarabel.DefaultSolver
+
+    def solver(P: Any, q: Any, A: Any, b: Any, cones: Any, settings: Any) -> Any:
+        threads.append(settings.max_threads)
+        return inner(P, q, A, b, cones, settings)
+
+    problem = state({"set": "full"}).problem
+    monkeypatch.setattr("clarabel.DefaultSolver", solver)
+    if by_cvxpy:
+        solve_with_backend(problem, "CLARABEL")
+    else:
+        solve(problem)
+    assert set(threads) == {1}
 
 
 def test_an_interrupt_is_not_taken_for_a_breakdown(state: State, monkeypatch: pytest.MonkeyPatch) -> None:

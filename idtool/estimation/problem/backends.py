@@ -18,8 +18,11 @@ from idtool.estimation.problem.problem import Problem
 from idtool.estimation.problem.variables import ConicInequality
 
 MATRIX_SOLVERS = ("CLARABEL", "SCS", "MOSEK", "CVXOPT", "COPT", "SDPA")  # cvxpy's that take matrix inequalities
-# Of a first-order method: the optimum is refined from there. Of all others, cvxpy's own.
-_SETTINGS: dict[str, dict[str, float]] = {"SCS": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iters": 20_000}}
+# Of all others, cvxpy's own.
+_SETTINGS: dict[str, dict[str, float]] = {
+    "CLARABEL": {"max_threads": 1},  # a copy of this process would wait for further ones forever
+    "SCS": {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iters": 20_000},  # a first-order method: refined from there
+}
 
 
 def check_backend(name: str) -> None:

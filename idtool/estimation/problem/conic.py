@@ -252,6 +252,7 @@ def _run(P: Any, q: Array, rows: _ConeRows, settings: Mapping[str, Any]) -> Any:
     """The solver's answer; a `SolverError` if it breaks down."""
     options = clarabel.DefaultSettings()
     options.verbose = False
+    options.max_threads = 1  # a copy of this process has none of the solver's threads, and would wait for them forever
     for name, value in settings.items():
         setattr(options, name, value)
     A, b = sparse.csc_matrix(np.concatenate(rows.A)), np.concatenate(rows.b)
