@@ -30,6 +30,7 @@ _MOTOR_FRICTION_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MIN_COEFFICIENT = 0.25  # of the probe, ideally 1: a smaller one means that there is no backlash
 _MAX_COEFFICIENT = 3.0
 _WIDTH_FACTORS = (0.85, 0.93, 1.0, 1.08, 1.17)  # of the given width, that are averaged
+_TIMING_SHRINKAGE = 0.85  # least mean squared residual of a transient whose time is uncertain by milliseconds
 _MIN_FAST_CROSSING = 4.0  # widths per second; slower crossings are predicted well between the contacts
 _IMPACT_DECAY = 0.02  # s
 _TEETH_LAG = 2e-3  # s
@@ -178,6 +179,8 @@ class _PlayTrajectory:
 def _torque_correction(trajectory: _PlayTrajectory, joint: int, linearized: Linearization) -> Array:
     """Correction of the torque of a model without the play for the play, shape (nv, N) [N·m or N].
 
+    It is less than all of it, since a mistimed transient leaves a larger residual than a smaller one.
+
     Parameters
     ----------
     trajectory
@@ -191,7 +194,7 @@ def _torque_correction(trajectory: _PlayTrajectory, joint: int, linearized: Line
     acceleration = np.gradient(velocity, trajectory.dt)
     correction = linearized.torque_change_by_motion(joint, -trajectory.motor_position, -velocity, -acceleration)
     correction[joint] += trajectory.link_friction_correction
-    return correction
+    return _TIMING_SHRINKAGE * correction
 
 
 def _mean_trajectory(
