@@ -505,7 +505,7 @@ def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[Scre
     """Probes of the candidates on a finer grid: of each, with one nonlinear value changed at a time.
 
     Of a candidate whose residual jumps with its parameters, all values are changed together: the best value of one
-    depends on those of the others. A parameter that names another joint, one of which a single value was screened, and
+    depends on those of the others. A parameter that is not continuous, one of which a single value was screened, and
     one whose value is not of the grid any more, is not changed.
 
     Parameters
@@ -524,13 +524,14 @@ def _refined_probes(candidates: Sequence[ScreenedProbe], screened: Sequence[Scre
 
 def _refined_choices(probe: Probe, alike: Sequence[Probe]) -> Iterator[dict[str, float]]:
     """Finer values to try of some nonlinear parameters of a probe; ``alike`` are the probes of its coarse grid."""
-    joint_parameters = effect_types()[probe.effect].joint_parameters()
+    parameters = effect_types()[probe.effect].nonlinear_parameters
+    discrete = [parameter.name for parameter in parameters if not parameter.is_continuous]
     are_changed_together = _is_searched_on_grid(probe.effect)
     points = _POINTS_IF_COMBINED if are_changed_together else _REFINEMENT_POINTS
     finer: dict[str, list[float]] = {}
     for name, value in probe.nonlinear_values.items():
         grid = sorted({other.nonlinear_values[name] for other in alike})
-        if name not in joint_parameters and len(grid) > 1 and value in grid:
+        if name not in discrete and len(grid) > 1 and value in grid:
             finer[name] = _refined_values(value, grid, points)
     if are_changed_together and finer:
         for values in product(*finer.values()):

@@ -174,6 +174,28 @@ def test_a_payload_is_weighed_where_the_inertia_is_true(folder: Path) -> None:
     assert found["com"][2] == pytest.approx(true["com"][2], abs=0.005)
 
 
+def test_a_stop_is_found_at_either_end_of_the_travel_wherever_the_limits_are(folder: Path) -> None:
+    """An obstacle far from the joint's limits: by them alone, it would act on the other side."""
+    files = logged(folder, HiddenEffect("end_stop", "shoulder", None, "strong"))
+    position = truth(files)["position"]
+    lower, upper = (-9, 2.4) if position < 0 else (-2.4, 9)
+    urdf = files.urdf.read_text()
+    assert urdf.count('lower="-2.4" upper="2.4"') == 1
+    wide = files.urdf.with_name("wide.urdf")
+    wide.write_text(urdf.replace('lower="-2.4" upper="2.4"', f'lower="{lower}" upper="{upper}"'))
+
+    report = diagnosed(replace(files, urdf=wide), folder / "stop")
+    assert named(report) == [("end_stop", "shoulder")]
+    found = report["steps"][0]["parameters"]
+    assert found["side"] == np.sign(position)
+    assert found["position"] == pytest.approx(position, abs=0.03)
+    assert found["stiffness"] == pytest.approx(truth(files)["stiffness"], rel=0.05)
+    assert report["after"]["simulation"]["overall"] < 0.3 * report["before"]["simulation"]["overall"]
+
+    written = yaml.safe_load((folder / "stop" / "model.yaml").read_text())["effects"]
+    assert [entry["parameters"]["side"] for entry in written if entry["effect"] == "end_stop"] == [np.sign(position)]
+
+
 def test_a_payload_heavier_than_the_robot_is_not_believed(folder: Path) -> None:
     """An arm in the horizontal plane, where no weight is felt: a rotor that its model lacks passes for a load."""
     level = {"gravity": [0.0, -9.81, 0.0]}

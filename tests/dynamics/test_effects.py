@@ -109,17 +109,19 @@ LIMITS = {
 
 
 @pytest.mark.parametrize(("limit", "cases"), LIMITS.values(), ids=LIMITS)
-def test_a_stop_acts_on_the_side_of_the_nearer_limit(build: Build, limit: str, cases: list[tuple[float, int]]) -> None:
+def test_a_stop_acts_on_its_side_or_on_that_of_the_nearer_limit(build: Build, limit: str, cases: list[tuple[float, int]]) -> None:
     kind = "revolute" if limit else "continuous"
     pair = [f'<parent link="l{i}"/><child link="l{i + 1}"/><axis xyz="0 0 1"/>{limit}' for i in (0, 1)]
     text = chain(*(f'<joint name="{n}" type="{kind}">{p}</joint>' for n, p in zip(JOINTS, pair, strict=True)))
-    for position, side in cases:
-        (effect,) = effects_of(build, entry("end_stop", stiffness=1.0, position=position), text=text)
-        motion = random_motion(3)
-        motion.q[1] = [position - 0.1, position, position + 0.1]
-        linear = LinearModel(JOINTS, (effect,))
-        expected = [0, 0, 0.1] if side > 0 else [-0.1, 0, 0]
-        np.testing.assert_allclose(linear.torque(motion, linear.prior)[1], expected, atol=1e-12)
+    for position, usual_side in cases:
+        for side in (None, 1.0, -1.0):
+            given = {} if side is None else {"side": side}
+            (effect,) = effects_of(build, entry("end_stop", stiffness=1.0, position=position, **given), text=text)
+            motion = random_motion(3)
+            motion.q[1] = [position - 0.1, position, position + 0.1]
+            linear = LinearModel(JOINTS, (effect,))
+            expected = [0, 0, 0.1] if (side or usual_side) > 0 else [-0.1, 0, 0]
+            np.testing.assert_allclose(linear.torque(motion, linear.prior)[1], expected, atol=1e-12)
 
 
 def test_units_follow_the_kinds_of_the_joints(build: Build) -> None:

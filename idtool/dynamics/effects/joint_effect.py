@@ -79,7 +79,7 @@ class JointEffect(NamedEffect):
     def zero_entry(cls, joint: str) -> EffectEntry:
         """Configuration entry on a joint with all parameters at 0 that may not be left out."""
         names = list(cls.linear_parameters())
-        names += [parameter.name for parameter in cls.nonlinear_parameters if parameter.optional_maximum is None]
+        names += [parameter.name for parameter in cls.nonlinear_parameters if not parameter.may_be_left_out]
         return EffectEntry(effect=cls.id, joint=joint, parameters=dict.fromkeys(names, 0.0))
 
     @classmethod
@@ -95,16 +95,15 @@ class JointEffect(NamedEffect):
         if entry.joint is None or entry.link is not None:
             raise ConfigError(entry_location(entry), "acts on a joint; give `joint` and not `link`")
         joint = read_joint_index(entry, entry.joint, model)
-        names = list(cls.linear_parameters())
-        for parameter in cls.nonlinear_parameters:
-            if parameter.optional_maximum is None or parameter.name in entry.parameters:
-                names.append(parameter.name)
-        check_parameter_names(entry, tuple(names))
+        given = [
+            parameter
+            for parameter in cls.nonlinear_parameters
+            if parameter.name in entry.parameters or not parameter.may_be_left_out
+        ]
+        check_parameter_names(entry, (*cls.linear_parameters(), *(parameter.name for parameter in given)))
 
         values = {name: read_number(entry, name) for name in cls.linear_parameters()}
-        nonlinear_values = {
-            parameter.name: _read_nonlinear(entry, parameter, model, joint) for parameter in cls.nonlinear_parameters
-        }
+        nonlinear_values = {parameter.name: _read_nonlinear(entry, parameter, model, joint) for parameter in given}
         effect = cls.with_values(model, joint, values, nonlinear_values)
         for c in effect.coefficients:
             if c.prior < c.lower:
@@ -127,7 +126,7 @@ class JointEffect(NamedEffect):
     @classmethod
     @override
     def gradient_parameters(cls) -> tuple[str, ...]:
-        return tuple(parameter.name for parameter in cls.nonlinear_parameters if not parameter.is_joint)
+        return tuple(parameter.name for parameter in cls.nonlinear_parameters if parameter.is_continuous)
 
     @classmethod
     @override
@@ -227,9 +226,10 @@ def _read_nonlinear(entry: EffectEntry, parameter: NonlinearParameter, model: Ro
         return float(index)
 
     maximum = parameter.optional_maximum
-    if maximum is not None and name not in entry.parameters:
-        return 0.0
     value = read_number(entry, name)
+    if parameter.choices and value not in parameter.choices:
+        allowed = " or ".join(f"{choice:g}" for choice in parameter.choices)
+        raise ConfigError(entry_location(entry), f"{name} of {value:g} is out of range; give {allowed}")
     if maximum is not None and not 0 <= value <= maximum:
         what = f"{name} of {value:g} is out of range; give a value from 0 to {maximum:g}"
         raise ConfigError(entry_location(entry), what)

@@ -50,6 +50,8 @@ class NonlinearParameter:
         That share.
     optional_maximum
         Largest value of a parameter that may be left out and is then 0; None: it may not be left out.
+    choices
+        The only values that it may have; it may then be left out. Empty: it is continuous.
     open_ended
         True if the effect is reported whatever the value's standard error, even at an end of what the search tries.
     arbitrary_beside
@@ -64,8 +66,19 @@ class NonlinearParameter:
     max_standard_error: float | None = None
     max_relative_error: float = 0.4
     optional_maximum: float | None = None
+    choices: tuple[float, ...] = ()
     open_ended: bool = False
     arbitrary_beside: str | None = None
+
+    @property
+    def may_be_left_out(self) -> bool:
+        """True if an entry need not give it."""
+        return self.optional_maximum is not None or bool(self.choices)
+
+    @property
+    def is_continuous(self) -> bool:
+        """False if it names a joint, or has a few values only."""
+        return not self.is_joint and not self.choices
 
 
 class NamedEffect(Effect):
