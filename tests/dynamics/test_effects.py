@@ -109,7 +109,9 @@ LIMITS = {
 
 
 @pytest.mark.parametrize(("limit", "cases"), LIMITS.values(), ids=LIMITS)
-def test_a_stop_acts_on_its_side_or_on_that_of_the_nearer_limit(build: Build, limit: str, cases: list[tuple[float, int]]) -> None:
+def test_a_stop_acts_on_its_side_or_on_that_of_the_nearer_limit(
+    build: Build, limit: str, cases: list[tuple[float, int]]
+) -> None:
     kind = "revolute" if limit else "continuous"
     pair = [f'<parent link="l{i}"/><child link="l{i + 1}"/><axis xyz="0 0 1"/>{limit}' for i in (0, 1)]
     text = chain(*(f'<joint name="{n}" type="{kind}">{p}</joint>' for n, p in zip(JOINTS, pair, strict=True)))
