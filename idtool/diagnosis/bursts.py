@@ -2,8 +2,8 @@
 
 A model fitted to data with a contact is biased by it and leaves a residual everywhere. So the residual is that of a
 robust fit, which ignores the contact. A contact is distinguished from friction, gears and the rest by its shape: its
-torque appears and vanishes within milliseconds, is never small in between, and changes only as slowly as the pose. One
-that comes and goes slowly is a push, see `pushes`.
+torque appears and vanishes within milliseconds, is never small in between, and changes only as slowly as the pose. It
+may as well be a push, see `pushes`, which may also come and go slowly.
 
 Letters: nv joints, n samples. The level is the rms over the joints of the residual, in units of each joint's noise.
 """
@@ -58,10 +58,11 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
     -------
     Hypotheses about contacts, for each training log separately. A burst may have several windows of time.
 
-    A residual that begins or ends within milliseconds is a contact. Its link is unknown. All windows of contacts are
-    one burst. If the residual is large in other windows too, a burst with all windows comes before it.
+    A residual that begins or ends within milliseconds may be a contact. Its link is unknown. All windows of contacts
+    are one burst. If the residual is large in other windows too, a burst with all windows comes before it.
 
-    A residual that comes and goes slowly is a push. There is a burst for each link on which a push explains it.
+    A residual that comes and goes slowly may be a push, and so may a contact, whose force seldom is constant. There is
+    a burst for each link on which a push explains it.
     """
     residual = robust_residual(experiment, theta, progress, "looking for contacts")
     if len(experiment.runs) == 1:
@@ -82,16 +83,17 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
 def _bursts_of_log(model: RobotModel, residual: RobustResidual, log: JointLog) -> tuple[Burst, ...]:
     """Bursts in one log."""
     windows = _contact_windows(residual, float(log.t[-1] - log.t[0]))
+    pushes = find_pushes(model, residual)
     if not windows:
-        return find_pushes(model, residual)
+        return pushes
     others = []
     for raised in raised_windows(residual):
         window = _high_part(residual, raised)
         if window is not None and not any(_overlap(window, other) for other in windows):
             others.append(window)
     if not others:
-        return (Burst(windows),)
-    return Burst(tuple(sorted([*windows, *others]))), Burst(windows)
+        return Burst(windows), *pushes
+    return Burst(tuple(sorted([*windows, *others]))), Burst(windows), *pushes
 
 
 def _overlap(a: tuple[float, float], b: tuple[float, float]) -> bool:

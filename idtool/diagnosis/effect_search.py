@@ -210,6 +210,7 @@ class EffectSearch:
             self.model.set_reversal_margin(REVERSAL_MARGIN)
             self._add_effects()
         self._replace_effects()
+        self._drop_insignificant_parameters()  # beside one of them, others may seem undetermined
         if self._remove_doubtful():
             self._add_effects()  # what they stood for
             self._remove_doubtful()

@@ -731,7 +731,7 @@ def test_what_explains_a_part_of_the_residual_must_do_so_throughout_the_data(
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt(), SolverError("solver", "as this test wants it")])
-@pytest.mark.parametrize(("stage", "kept"), [("_keep_as_complete", 2), ("_drop_insignificant_parameters", 1)])
+@pytest.mark.parametrize(("stage", "kept"), [("_keep_as_complete", 2), ("_drop_harmful_parameters", 1)])
 def test_what_an_interrupted_search_returns_to_is_not_said_to_be_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, kept: int, failure: BaseException
 ) -> None:

@@ -43,6 +43,11 @@ def trapezoids(t: Array) -> Array:
     return sum(np.clip(np.minimum(t - begin, end - t) / 0.1, 0.0, 1.0) for begin, end in WINDOWS)
 
 
+def steep_trapezoids(t: Array) -> Array:
+    """The same, with rises and falls of 0.01 s: as sharp as a contact."""
+    return sum(np.clip(np.minimum(t - begin, end - t) / 0.01, 0.0, 1.0) for begin, end in WINDOWS)
+
+
 def pushed(link: str, share: Callable[[Array], Array]) -> Log:
     """MuJoCo's arm with a force at a point of a link."""
     model = spec_of().compile()
@@ -72,6 +77,16 @@ def test_a_push_is_found_with_its_link_point_and_profile(tmp_path: Path, share: 
     np.testing.assert_allclose(burst.point, POINT, atol=0.01)
     t = np.arange(0.0, SECONDS, 0.01)
     np.testing.assert_allclose(np.interp(t, *np.transpose(burst.profile)), share(t), atol=0.06)
+
+
+def test_what_begins_sharply_may_be_a_contact_or_a_push(tmp_path: Path) -> None:
+    """Only the push has a profile in time; which of the two explains more is for the search to find out."""
+    contact, push = found(tmp_path, pushed("fore", steep_trapezoids))
+    assert not contact.link
+    assert push.link == "fore"
+    np.testing.assert_allclose(contact.windows, WINDOWS, atol=0.01)
+    np.testing.assert_allclose(push.windows, WINDOWS, atol=0.04)
+    np.testing.assert_allclose(push.point, POINT, atol=0.01)
 
 
 def test_a_push_of_another_link_needs_that_link(tmp_path: Path) -> None:
