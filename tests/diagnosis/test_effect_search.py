@@ -753,6 +753,19 @@ def test_what_an_interrupted_search_returns_to_is_not_said_to_be_removed(
     assert len(search.removed) == 2 - kept
 
 
+def test_undetermined_optional_parameters_are_left_out_before_effects_are_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside an undetermined damping, the displacement of presliding friction may seem undetermined too."""
+    calls = []
+    search = search_with(experiment_of(tmp_path, spring, rows=slice(8000)), [SPRING])
+    for step in ("_add_effects", "_replace_effects", "_drop_insignificant_parameters", "_remove_doubtful"):
+        monkeypatch.setattr(EffectSearch, step, lambda search, step=step: calls.append(step))
+    search.run()
+    assert not search.stopped
+    assert calls.index("_drop_insignificant_parameters") < calls.index("_remove_doubtful")
+
+
 def test_the_last_fit_is_of_all_rows(tmp_path: Path) -> None:
     search = search_with(experiment_of(tmp_path, together(spring, offset), rows=slice(8000)), [SPRING, OFFSET])
     rows = search.current.row_counts.sum()
