@@ -16,7 +16,7 @@ from idtool.diagnosis.candidate_fit import (
     without_insignificant_parameters,
     without_optional_parameters,
 )
-from idtool.diagnosis.effect_pair import FittedEffectPair, find_pairs
+from idtool.diagnosis.effect_group import EffectGroup, find_groups
 from idtool.diagnosis.effect_replacement import EffectReplacement
 from idtool.diagnosis.error_summary import evaluate_errors
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
@@ -47,6 +47,7 @@ from idtool.robot.config import EffectEntry
 
 _REVERSAL_SHARE = 0.5  # least share of the squared residual that an effect at reversals must explain
 _MAX_REPLACEMENTS = 3
+_MIN_GROUP_SIZE = 2  # of effects that are added together
 _MIN_REPLACEMENT_GAIN = 2.0  # standard errors by which a model must be better to replace another
 
 
@@ -243,10 +244,10 @@ class EffectSearch:
         self.model.remove([effect])
 
     def _add_effects(self) -> None:
-        """Add effects of all kinds, one by one, and where none is left, two at a time."""
+        """Add effects of all kinds, one by one, and where none is left, several at a time."""
         self._add_in_rounds(self._effects, MIN_SHARE)
         for _ in range(self._max_effects):
-            if not self._add_pair():
+            if not self._add_group():
                 break
             self._add_in_rounds(self._effects, MIN_SHARE)
 
@@ -298,27 +299,29 @@ class EffectSearch:
                 break
             earlier.add(present)
 
-    def _add_pair(self) -> bool:
-        """Add two effects that the last round rejected and that are worthwhile together; False if there are none."""
+    def _add_group(self) -> bool:
+        """Add effects that the last round rejected and that are worthwhile together; False if there are none."""
         selection = self.last_round
-        if selection is None or selection.screening is None or len(self.reported) + 2 > self._max_effects:
+        room = self._max_effects - len(self.reported)
+        if selection is None or selection.screening is None or room < _MIN_GROUP_SIZE:
             return False
         if selection.base is not self.current:  # the model has changed since that round
             return False
-        for pair in find_pairs(selection, selection.screening, self.initial, self.model.movable, self.progress):
-            if self._try_add_pair(selection, pair):
+        for group in find_groups(selection, selection.screening, self.initial, self.model.movable, self.progress):
+            if len(group.effects) <= room and self._try_add_group(selection, group):
                 self._prune()
                 self._keep_as_complete()
                 return True
         return False
 
-    def _try_add_pair(self, selection: SelectionStep, pair: FittedEffectPair) -> bool:
-        """Add two effects; False if the model cannot be fitted with them or is worse on the held-out data."""
+    def _try_add_group(self, selection: SelectionStep, group: EffectGroup) -> bool:
+        """Add effects; False if the model cannot be fitted with them or is worse on the held-out data."""
         before = self.model.state()
-        targets = {probe_target(effect.probe) for effect in pair.effects}
+        targets = {probe_target(effect.probe) for effect in group.effects}
         rejected = tuple(one for one in selection.rejected if (one.effect, one.target) not in targets)
         runners_up = tuple(one for one in selection.runners_up if probe_target(one.probe) not in targets)
-        for effect, entry in zip(pair.effects, pair.trial.entries[-2:], strict=True):
+        entries = group.trial.entries[-len(group.effects) :]
+        for effect, entry in zip(group.effects, entries, strict=True):
             own_selection = replace(selection, winner=effect, rejected=rejected, runners_up=runners_up, screening=None)
             self.added.append(AddedEffect(entry, own_selection, fitted_record(effect, before.current)))
         if self.model.try_refit() or lowers_held_out_likelihood(before.current, self.current):

@@ -18,8 +18,8 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
 from idtool.diagnosis import (
     candidate_fit,
+    effect_group,
     effect_order,
-    effect_pair,
     effect_replacement,
     effect_search,
     extended_model,
@@ -357,7 +357,7 @@ def test_where_all_is_noise_nothing_is_tried(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr(extended_model, "find_bursts", fail)
     monkeypatch.setattr(selection_round, "screen_probes", fail)
-    monkeypatch.setattr(effect_search, "find_pairs", fail)
+    monkeypatch.setattr(effect_search, "find_groups", fail)
     search = EffectSearch(experiment_of(tmp_path, nothing), None, 4, silent)
     search.run()
     assert search.stopped == ""
@@ -574,9 +574,31 @@ def test_two_effects_that_a_round_rejects_are_found_together(tmp_path: Path, mon
         assert all(one.effect != effect.chosen.effect or one.target != "j1" for one in effect.selection.rejected)
 
 
+@pytest.mark.parametrize("max_effects", [4, 2])
+def test_three_effects_of_which_no_two_suffice_are_found_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, max_effects: int
+) -> None:
+    """Dry friction, a spring and ripple; with room for two effects only, none is added."""
+    strong_spring = torque_on_joint(0, lambda t, q, v, tau: 3 * STIFFNESS * (q - 0.4))
+    ripple = torque_on_joint(0, lambda t, q, v, tau: np.sin(12 * q))
+    experiment = experiment_of(tmp_path, together(dry_friction, strong_spring, ripple), rows=slice(8000))
+    monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
+    effects = ("coulomb_friction", "torque_ripple", "parallel_spring", "torque_gain")
+    search = EffectSearch(experiment, effects, max_effects, silent)
+    search.run()
+    three = [("coulomb_friction", "j1"), ("parallel_spring", "j1"), ("torque_ripple", "j1")]
+    assert sorted(owners(search)) == (three if max_effects == 4 else [])
+    assert all(effect.chosen.score > 0 for effect in search.added)
+
+
 @pytest.mark.parametrize(
     ("module", "failing"),
-    [(effect_pair, "screen_pairs"), (effect_pair, "fit_trial"), (candidate_fit, "estimate_noise_floor")],
+    [
+        (effect_group, "screen_pairs"),
+        (effect_group, "fit_trial"),
+        (effect_group, "rejection_reason"),
+        (candidate_fit, "estimate_noise_floor"),
+    ],
 )
 def test_a_pair_that_cannot_be_judged_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: Any, failing: str
@@ -597,14 +619,14 @@ def test_pairs_are_sought_only_where_more_than_noise_is_left(tmp_path: Path, mon
     """Two effects are missing on the first of two joints."""
     screened = []
 
-    def record(selection: Any, screening: Any, joint: str, progress: Any) -> list[Any]:
-        screened.append(joint)
+    def record(self: Any) -> list[Any]:
+        screened.append(self.joint)
         return []
 
     drag = torque_on_joint(0, lambda t, q, v, tau: 0.3 * v * np.abs(v))
     experiment = experiment_of(tmp_path, together(dry_friction, drag))
     monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
-    monkeypatch.setattr(effect_pair, "_pairs_on_joint", record)
+    monkeypatch.setattr(effect_group._GroupSearch, "_all_screened_pairs", record)
     EffectSearch(experiment, ("coulomb_friction", "quadratic_drag"), 4, silent)._add_effects()
     assert screened == ["j1"]
 
@@ -627,13 +649,13 @@ def test_pairs_are_sought_only_of_the_round_that_the_model_comes_from(
 ) -> None:
     """The same round, after the model was fitted again."""
     sought = []
-    monkeypatch.setattr(effect_search, "find_pairs", lambda selection, *others: sought.append(selection) or [])
+    monkeypatch.setattr(effect_search, "find_groups", lambda selection, *others: sought.append(selection) or [])
     monkeypatch.setattr(selection_round, "fit_and_judge", rejected)
     search = EffectSearch(experiment_of(tmp_path, spring, rows=slice(8000)), ("parallel_spring",), 4, silent)
     search._add_effects()
     assert sought == [search.last_round]
     search.model.current = linearize_fit(search.current.experiment, silent)
-    assert not search._add_pair()
+    assert not search._add_group()
     assert len(sought) == 1
 
 
@@ -646,7 +668,7 @@ def test_two_effects_that_leave_more_than_noise_are_not_added(tmp_path: Path, ma
     search = EffectSearch(experiment, effects, max_effects, silent)
     search._add_effects()
     before = owners(search)
-    assert not search._add_pair()
+    assert not search._add_group()
     assert owners(search) == before
 
 
