@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from idtool.common.notice import Notice
 from idtool.diagnosis.confirmation import contradiction
-from idtool.diagnosis.error_summary import MAX_ERROR_RATIO
+from idtool.diagnosis.error_summary import increases_error
 from idtool.diagnosis.records import DiagnosisStep
 from idtool.dynamics.effects import effect_name
 
@@ -44,7 +44,7 @@ def doubt_about(
     if clause:
         return f"{step.chosen.words} is not the same everywhere in the data: {clause}; something else may be behind it"
 
-    if step.after.torque["overall"] > MAX_ERROR_RATIO * step.before.torque["overall"]:
+    if increases_error(step.before, step.after):
         where = "on the held-out data " if step.before.validation is not None else ""
         return (
             f"{step.chosen.words} increases the error {where}in this step; it lowers the "

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from idtool.diagnosis.effect_search import EffectSearch
-from idtool.diagnosis.error_summary import MAX_ERROR_RATIO, errors_of_fit
+from idtool.diagnosis.error_summary import MAX_ERROR_RATIO, errors_of_fit, increases_error
 from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.held_out_error import held_out_log_change
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
@@ -21,10 +21,10 @@ def order_effects(search: EffectSearch, fits: StepFits) -> None:
 
     One that increases the error is moved to the end, since a right but small effect may do so as long as a larger one
     is missing, and from there to the first place where no step does. If there is none, it is removed. If moving has no
-    end, the effect without which the error is least is removed. Two kinds of effects stay although they increase the
-    error at their place: those that lower it only together with others, and those that increase it only near reversals
-    and lower it elsewhere. Near reversals the direction of friction is uncertain, and chance decides whether an effect
-    that shifts the jump of friction increases the error.
+    end, the effect without which the error is least is removed. Three kinds of effects stay although they increase the
+    error at their place: those that lower it only together with others, those that increase it by no more than chance
+    explains, and those that increase it only near reversals and lower it elsewhere. Near reversals the direction of
+    friction is uncertain, and chance decides whether an effect that shifts the jump of friction increases the error.
 
     Without held-out data, the error on the training data decides.
 
@@ -56,7 +56,7 @@ def order_effects(search: EffectSearch, fits: StepFits) -> None:
         if order is not None:
             search.reorder(order)
             return
-        if _helps_where_friction_is_known(search, harmful):
+        if not _is_clearly_harmful(search, harmful, fits) or _helps_where_friction_is_known(search, harmful):
             excused.append(harmful)
             continue
         fits.forget()
@@ -150,6 +150,12 @@ def _most_harmful(search: EffectSearch, fits: StepFits, excused: Collection[Adde
             least_error = error
             most_harmful = effect
     return most_harmful
+
+
+def _is_clearly_harmful(search: EffectSearch, effect: AddedEffect, fits: StepFits) -> bool:
+    """True if an effect increases the error beside all others by more than chance explains."""
+    without = errors_of_fit(fits.of(_others(search, effect)))
+    return increases_error(without, errors_of_fit(fits.of(search.reported)))
 
 
 def _helps_where_friction_is_known(search: EffectSearch, effect: AddedEffect) -> bool:

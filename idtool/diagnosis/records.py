@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from idtool.common.arrays import Array
@@ -26,11 +26,15 @@ class ErrorSummary:
         Torque errors in the band [N·m or N]; validation is None without held-out data.
     simulation
         Errors of the joint positions in rollouts [rad or m]; None if the model was not simulated.
+    torque_squares_by_second
+        Sum over all joints of the squared errors of ``torque`` within each second of the logs, shape (s,); None if it
+        is not known.
     """
 
     train: Mapping[str, float]
     validation: Mapping[str, float] | None
     simulation: Mapping[str, float] | None
+    torque_squares_by_second: Array | None = field(default=None, compare=False)
 
     @property
     def torque(self) -> Mapping[str, float]:

@@ -280,6 +280,8 @@ def linear_probe(effect: JointEffect, summary: DataSummary, joint: int, nonlinea
         values = {name: value for name, (value, _) in parameters.items()}
         return effect.to_entry(summary.model, joint, {**values, **nonlinear_values})
 
+    of_few_values = [parameter.name for parameter in effect.nonlinear_parameters if parameter.choices]
+    fitted = [name for name in nonlinear_values if name not in of_few_values]
     return Probe(
         effect=effect.id,
         joint=effect.owner,
@@ -290,5 +292,6 @@ def linear_probe(effect: JointEffect, summary: DataSummary, joint: int, nonlinea
         nonlinear_values=nonlinear_values,
         lower=tuple(c.lower for c in effect.coefficients),
         upper=tuple(c.upper for c in effect.coefficients),
+        parameter_count=count + len(fitted),
         column_key=effect.column_key,
     )

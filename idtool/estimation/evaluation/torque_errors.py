@@ -28,16 +28,20 @@ class Errors:
         Number of samples.
     sum_squares_in_band, sum_squares_as_logged
         Sums of squared errors, shape (nv,) [(N·m)² or N²].
+    sum_squares_by_second
+        Sum over all joints of the squared errors in the band within each second of the logs, shape (s,). It is 0 in
+        seconds without samples.
     """
 
     samples: int
     sum_squares_in_band: Array
     sum_squares_as_logged: Array
+    sum_squares_by_second: Array
 
     @staticmethod
-    def none(joint_count: int) -> Errors:
-        """Errors of no samples."""
-        return Errors(0, np.zeros(joint_count), np.zeros(joint_count))
+    def none(joint_count: int, seconds: int) -> Errors:
+        """Errors of no samples, of logs with a number of seconds."""
+        return Errors(0, np.zeros(joint_count), np.zeros(joint_count), np.zeros(seconds))
 
     def rms(self, joints: Sequence[str], raw: bool = False) -> dict[str, float]:
         """RMS error of each joint, and of all joints and samples as ``overall`` [N·m or N].
@@ -92,11 +96,12 @@ def evaluate(
         If true the traces hold the joints' positions too, as ``q``.
     """
     joints = experiment.equation.joints
-    errors = {name: Errors.none(len(joints)) for name in models}
+    seconds_of_runs = [int(np.ptp(run.signals.log.t)) + 1 for run in experiment.runs]
+    errors = {name: Errors.none(len(joints), sum(seconds_of_runs)) for name in models}
     torque_sums = np.zeros((2, len(joints)))  # of the measured torque and of its square
     samples, stride = 0, 1
     traces, correlations = [], Correlations()
-    for run in experiment.runs:
+    for i, run in enumerate(experiment.runs):
         parts = run.parts(held_out)
         if not parts:
             continue
@@ -106,9 +111,12 @@ def evaluate(
         for batch in tracked(batches, parts, progress, f"predicting {log.path.name}"):
             measured, predicted = _predict(experiment, batch, models)
             inner = slice(batch.before, len(batch.motion.t) - batch.after)
+            second = sum(seconds_of_runs[:i]) + batch.motion.t[inner].astype(int)
             for name, torque in predicted.items():
+                squares = np.square(torque - measured)
                 errors[name].samples += torque.shape[1]
-                errors[name].sum_squares_in_band += np.square(torque - measured).sum(axis=1)
+                errors[name].sum_squares_in_band += squares.sum(axis=1)
+                np.add.at(errors[name].sum_squares_by_second, second, squares.sum(axis=0))
                 errors[name].sum_squares_as_logged += np.square(torque - batch.motion.logged_tau[:, inner]).sum(axis=1)
             torque_sums += measured.sum(axis=1), np.square(measured).sum(axis=1)
             samples += measured.shape[1]
