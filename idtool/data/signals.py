@@ -19,6 +19,7 @@ from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
+from idtool.data.base_sensors import BaseSensors, ContactSamples
 from idtool.data.channels import Channels
 from idtool.data.column_cache import KeptColumns
 from idtool.data.controller import JointController
@@ -46,9 +47,9 @@ class Motion:
     t
         Time since the log's first sample [s], shape (N,).
     q, v, a
-        Position, velocity and acceleration, shape (nv, N).
+        Position, velocity and acceleration, shape (nv, N); those of a floating base come last, see `RobotModel`.
     tau
-        Torque at the joint output, shape (nv, N).
+        Torque at the joint output, shape (nv, N); 0 for a floating base.
     logged_tau
         Logged torque, or that of the controller, without the wide filter; shape (nv, N).
     velocity_deadband
@@ -65,6 +66,8 @@ class Motion:
         Columns along these q, v and a that are kept for other models; None: none are.
     log
         File name of the log; empty: the motion is of no log.
+    contacts
+        Contacts of a robot with a floating base; None: it has none.
     """
 
     t: Array
@@ -79,6 +82,7 @@ class Motion:
     delayed_torques: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     kept_columns: KeptColumns | None = None
     log: str = ""
+    contacts: ContactSamples | None = None
 
     @property
     def is_log(self) -> bool:
@@ -136,6 +140,19 @@ class Signals:
         Stretches of samples that have all derivatives and commands.
     notices
         The decisions about the velocity and the stretches, with their reasons.
+    base_sensors
+        Sensors of a floating base; None: it is fixed.
+
+    Parameters
+    ----------
+    log
+        The log.
+    joints
+        Names of the moving joints.
+    config
+        The configuration.
+    base_sensors
+        Sensors of a floating base, whose coordinates come after the joints; None: the base is fixed.
 
     Raises
     ------
@@ -145,8 +162,11 @@ class Signals:
         If the cut-off lies above what the sampling rate allows.
     """
 
-    def __init__(self, log: JointLog, joints: Sequence[str], config: Config) -> None:
+    def __init__(
+        self, log: JointLog, joints: Sequence[str], config: Config, base_sensors: BaseSensors | None = None
+    ) -> None:
         self.log = log
+        self.base_sensors = base_sensors
         self.joints = tuple(joints)
         self.notices: list[Notice] = []
         rate = 1 / log.dt
@@ -295,7 +315,7 @@ class Signals:
         q, v, a = self._kinematics(part, self.velocity_from_position)
         (tau, *delayed), logged_tau = self._torques(part, (self.controller.delay, *delays))
         delayed_torques = np.array(delayed).reshape(-1, *tau.shape)
-        return Motion(
+        motion = Motion(
             t=t,
             q=q,
             v=v,
@@ -306,6 +326,27 @@ class Signals:
             dt=self.log.dt,
             delayed_torques=delayed_torques,
             log=self.log.path.name,
+        )
+        return motion if self.base_sensors is None else self._with_base(motion, self.base_sensors, part)
+
+    def _with_base(self, motion: Motion, sensors: BaseSensors, part: slice) -> Motion:
+        """Motion of the joints with that of a floating base and its contacts."""
+        margin = self._margin
+        outer = self.channels.times(slice(part.start - margin, part.stop + margin))
+        v, a = sensors.kinematics(outer, self.log.dt, self._smooth)
+        no_torque = np.zeros_like(v)
+        r = 2 * DIFFERENCE_REACH
+        no_delayed_torque = np.zeros((len(motion.delayed_torques), *v.shape))
+        return replace(
+            motion,
+            q=np.concatenate([motion.q, no_torque]),
+            v=np.concatenate([motion.v, v]),
+            a=np.concatenate([motion.a, a]),
+            tau=np.concatenate([motion.tau, no_torque]),
+            logged_tau=np.concatenate([motion.logged_tau, no_torque]),
+            velocity_deadband=np.append(motion.velocity_deadband, np.full(len(v), _MIN_DEADBAND)),
+            delayed_torques=np.concatenate([motion.delayed_torques, no_delayed_torque], axis=1),
+            contacts=sensors.contacts(outer[r : len(outer) - r], self._smooth),
         )
 
     def _kinematics(self, part: slice, from_position: Mask) -> tuple[Array, Array, Array]:

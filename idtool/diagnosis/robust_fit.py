@@ -100,7 +100,7 @@ def _accumulate(experiment: Experiment, theta: Array, progress: Progress) -> lis
     rows = sum(part.stop - part.start for run in experiment.runs for part in run.signals.ranges)
     length = block_rows(rows // first.low_pass.stride, step, first.band_hz, most_blocks(active))
 
-    by_joint: list[list[tuple[Array, Array, float, int]]] = [[] for _ in active]
+    by_joint: list[list[tuple[Array, Array, float, float]]] = [[] for _ in active]
     for run in experiment.runs:
         signals = run.signals
         batches = tracked(signals.batches(), signals.ranges, progress, "looking for contacts")

@@ -16,6 +16,7 @@ from scipy import ndimage
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.column_cache import IdentityKey
 from idtool.data.signals import Batch, Motion, reversals
+from idtool.dynamics.contact_forces import ContactForces
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NamedEffect
@@ -26,6 +27,7 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.model import RobotModel
 
 _MAX_INVALID_WEIGHT = 0.3  # share of a valid filtered sample's weight that may come from invalid samples
+_PROJECTED_TOGETHER = 40  # columns from which contact forces are eliminated together, to bound the memory
 _CLEAN_WEIGHT = 0.03  # share by magnitude up to which invalid samples do not show in a filtered one
 
 OperatingPoint = Mapping[tuple[str, str, str, tuple[float, ...]], float]  # coefficients by key
@@ -43,11 +45,15 @@ class LinearModel:
         The terms; their coefficients one after the other are the p unknowns.
     operating_point
         Coefficients, by key, for the effects whose columns depend on them; others are taken at their prior.
+    contacts
+        Forces at the contacts of a robot with a floating base; None: the base is fixed. Filtered rows are without what
+        the unknown ones can exert, which takes coefficients from one row to another.
     """
 
     joints: tuple[str, ...]
     effects: tuple[Effect, ...]
     operating_point: OperatingPoint = field(default_factory=dict)
+    contacts: ContactForces | None = None
     _true_motions: dict[IdentityKey[Motion], Motion] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -73,7 +79,7 @@ class LinearModel:
             nonlocal latest
             if latest is None or latest.measured_motion is not motion:
                 copies = tuple(copy(other) for other in others)  # those of this model keep their operating point
-                equation = LinearModel(self.joints, copies, self.operating_point)
+                equation = LinearModel(self.joints, copies, self.operating_point, self.contacts)
                 latest = LinearizedModel(equation, equation.operating_theta, motion)
             return latest
 
@@ -87,7 +93,8 @@ class LinearModel:
     def linearized_at(self, theta: Array) -> LinearModel:
         """The model with its columns at other coefficients, shape (p,)."""
         operating_point = {c.key: float(x) for c, x in zip(self.coefficients, theta, strict=True)}
-        return LinearModel(self.joints, tuple(copy(effect) for effect in self.effects), operating_point)
+        effects = tuple(copy(effect) for effect in self.effects)
+        return LinearModel(self.joints, effects, operating_point, self.contacts)
 
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
@@ -122,7 +129,13 @@ class LinearModel:
         return None
 
     def active(self) -> tuple[Indices, ...]:
-        """Per joint, indices of the unknowns in its equation."""
+        """Per joint, indices of the unknowns in its filtered rows."""
+        if self.contacts is None:
+            return self.active_in_columns()
+        return tuple(np.arange(len(self.coefficients)) for _ in self.joints)
+
+    def active_in_columns(self) -> tuple[Indices, ...]:
+        """Per joint, indices of the unknowns in its `columns`."""
         firsts = self.offsets()[:-1]
         active = []
         for joint in range(len(self.joints)):
@@ -136,7 +149,7 @@ class LinearModel:
         Both are of the true motion, and the torque is less that without a coefficient.
         """
         true = self.true_motion(motion)
-        blocks = [np.empty((len(active) + 1, len(true.t))) for active in self.active()]
+        blocks = [np.empty((len(active) + 1, len(true.t))) for active in self.active_in_columns()]
         row = [0] * len(self.joints)  # the next of each block
         for effect in self.effects:
             out = []
@@ -185,6 +198,8 @@ class LinearModel:
 
     def filtered_columns(self, batch: Batch) -> list[Array]:
         """Filtered columns and torque of all samples, per joint; shape (m_j + 1, n) each, the torque last."""
+        if self.contacts is not None:
+            return self._projected_columns(batch, self.contacts)
         true = self.true_motion(batch.motion)
         tau = batch.filter(self._identified_torque(true))
         parts: list[list[Array]] = [[] for _ in self.joints]
@@ -192,6 +207,31 @@ class LinearModel:
             for part, columns in zip(parts, _filtered_columns(effect, true, batch), strict=True):
                 part.append(columns)
         return [np.concatenate([*part, row[None]]) for part, row in zip(parts, tau, strict=True)]
+
+    def _projected_columns(self, batch: Batch, contacts: ContactForces) -> list[Array]:
+        """`filtered_columns` without what unknown contact forces can exert."""
+        return self._projected_by(self._projector(batch.motion, contacts), batch, contacts)
+
+    def _projected_by(self, projector: Array, batch: Batch, contacts: ContactForces) -> list[Array]:
+        """Filtered columns and torque behind a projector."""
+        true = self.true_motion(batch.motion)
+        filtered = []
+        for effect in self.effects:
+            own_columns = effect_columns(effect, true)
+            for first in range(0, len(effect.coefficients), _PROJECTED_TOGETHER):
+                chosen = range(first, min(first + _PROJECTED_TOGETHER, len(effect.coefficients)))
+                rows = _rows_of(effect, own_columns, chosen)
+                filtered.append(batch.filter(contacts.projected(projector, rows)))
+        tau = batch.filter(contacts.projected(projector, self._identified_torque(true)))
+        columns = np.concatenate([*filtered, tau[:, None]], axis=1)
+        return list(columns)
+
+    def _projector(self, motion: Motion, contacts: ContactForces) -> Array:
+        """Projector onto what unknown forces cannot exert along a motion, shape (N, nv, nv)."""
+        resting = {}
+        for joint, masks in self._invalid_masks_along(motion).items():
+            resting[joint] = np.logical_or.reduce(masks)
+        return contacts.projector(self.true_motion(motion), resting)
 
     def delayed_torques(self, motion: Motion) -> Array:
         """The last rows of `columns` with each of the motion's ``torques``, shape (K, nv, N)."""
@@ -222,7 +262,8 @@ class LinearModel:
     def _identified_torque(self, motion: Motion) -> Array:
         """Torque of a true motion less that without a coefficient, shape (nv, N)."""
         fixed = self._fixed_torque(motion)
-        return motion.tau if fixed is None else motion.tau - fixed
+        torque = motion.tau if fixed is None else motion.tau - fixed
+        return torque if self.contacts is None else torque + self.contacts.measured_torque(motion)
 
     def _fixed_torque(self, motion: Motion) -> Array | None:
         """Torque of the effects without a coefficient, shape (nv, N)."""
@@ -246,9 +287,26 @@ class LinearModel:
         """Filtered columns and torque of all samples, and the mask of valid ones, shape (n,); per joint."""
         return self.filtered_columns(batch), self.valid_samples(batch)
 
+    def counted_rows(self, batch: Batch) -> tuple[list[Array], list[Mask] | list[Array]]:
+        """`filtered_rows`, with contacts the share of each row that unknown forces leave of it, from 0 to 1.
+
+        The squared error of a row is the noise's square times its share.
+        """
+        if self.contacts is None:
+            return self.filtered_rows(batch)
+        projector = self._projector(batch.motion, self.contacts)
+        diagonal = np.ascontiguousarray(np.diagonal(projector, axis1=1, axis2=2).T)
+        shares = np.clip(batch.filter(diagonal), 0.0, 1.0)
+        return self._projected_by(projector, batch, self.contacts), list(shares)
+
     def valid_samples(self, batch: Batch) -> list[Mask]:
-        """Per joint, mask of the filtered samples whose columns are defined, shape (n,)."""
+        """Per joint, mask of the filtered samples whose columns are defined, shape (n,).
+
+        With contacts, all are: a joint at rest, whose friction is unknown, is left out of the rows before the filter.
+        """
         valid = [np.ones(len(batch.t), dtype=bool) for _ in self.joints]
+        if self.contacts is not None:
+            return valid
         for joint, masks in self._invalid_masks(batch).items():
             for mask in masks:
                 if mask.any():
@@ -302,9 +360,15 @@ class LinearModel:
         """By joint, the masks of its effects' invalid samples, shape (N,) each; of friction or of others, or of all."""
         if is_friction is not None or batch.motion.kept_columns is None:
             return self._evaluated_masks(batch.motion, is_friction)
-        key = IdentityKey(batch.motion)
+        return self._invalid_masks_along(batch.motion)
+
+    def _invalid_masks_along(self, motion: Motion) -> dict[int, list[Mask]]:
+        """By joint, the masks of all effects' invalid samples along a motion, shape (N,) each."""
+        if motion.kept_columns is None:
+            return self._evaluated_masks(motion)
+        key = IdentityKey(motion)
         if key not in self._masks:
-            self._masks[key] = self._evaluated_masks(batch.motion)
+            self._masks[key] = self._evaluated_masks(motion)
         return self._masks[key]
 
     def _evaluated_masks(self, motion: Motion, is_friction: bool | None = None) -> dict[int, list[Mask]]:
@@ -339,14 +403,18 @@ class LinearModel:
 
     def _predicted_torque(self, motion: Motion, theta: Array) -> Array:
         """True torque that the model predicts, shape (..., nv, N)."""
-        rows = []
-        for active, block in zip(self.active(), self.columns(motion), strict=True):
-            rows.append(theta[..., active] @ block[:-1])
-        tau = np.stack(rows, axis=-2)
+        tau = self._predicted_by_columns(motion, theta)
         fixed = self._fixed_torque(self.true_motion(motion))
         if fixed is not None:
             tau = tau + fixed
         return np.asarray(tau)
+
+    def _predicted_by_columns(self, motion: Motion, theta: Array) -> Array:
+        """Columns times coefficients, shape (..., nv, N)."""
+        rows = []
+        for active, block in zip(self.active_in_columns(), self.columns(motion), strict=True):
+            rows.append(theta[..., active] @ block[:-1])
+        return np.stack(rows, axis=-2)
 
     def compared_torques(self, batch: Batch, theta: Array) -> tuple[Array, Array]:
         """Measured torque and that which the model predicts, as they are compared, in the band.
@@ -368,6 +436,8 @@ class LinearModel:
         -------
         Filtered, shapes (nv, n) and (..., nv, n) [N·m or N].
         """
+        if self.contacts is not None:
+            return self._torques_without_contacts(batch, theta, self.contacts)
         undone = self._undone_sensors()
         measured = batch.motion
         for effect in reversed(undone):
@@ -383,6 +453,15 @@ class LinearModel:
             if isinstance(effect, TorqueSensorEffect):
                 predicted = effect.apply_sensor(predicted, batch.motion)
         return batch.filter(measured.tau), predicted
+
+    def _torques_without_contacts(self, batch: Batch, theta: Array, contacts: ContactForces) -> tuple[Array, Array]:
+        """`compared_torques` that differ by what no unknown contact force explains."""
+        true = self.true_motion(batch.motion)
+        projector = self._projector(batch.motion, contacts)
+        error = self._identified_torque(true) - self._predicted_by_columns(batch.motion, theta)
+        unexplained = contacts.projected(projector, np.moveaxis(error, -2, 0))
+        measured = batch.filter(true.tau)
+        return measured, measured - batch.filter(np.moveaxis(unexplained, 0, -2))
 
     def _undone_sensors(self) -> list[Effect]:
         """Sensors behind which errors are compared: motors that saturate, and what is nearer to the log on a joint.
@@ -414,6 +493,15 @@ class LinearModel:
         for effect, part in self.effect_slices():
             effect.add_to_forward_model(theta[part], mechanism)
         return mechanism
+
+
+def _rows_of(effect: Effect, columns: Sequence[Array], chosen: range) -> Array:
+    """Some of an effect's columns in the rows of all joints, shape (nv, len(chosen), N); 0 where it is not active."""
+    rows = np.zeros((len(columns), len(chosen), columns[0].shape[1]))
+    for row, active, own in zip(rows, effect.active, columns, strict=True):
+        is_chosen = (active >= chosen.start) & (active < chosen.stop)
+        row[active[is_chosen] - chosen.start] = own[is_chosen]
+    return rows
 
 
 def _torque(effect: Effect, theta: Array, motion: Motion) -> Array:

@@ -16,6 +16,7 @@ from idtool.estimation.fit_notices import fit_notices
 from idtool.estimation.identification import Method, estimate_from_logs
 from idtool.estimation.problem.estimate import Estimate
 from idtool.estimation.problem.regularization_path import RegularizationPath
+from idtool.estimation.row_noise import with_row_noise
 from idtool.estimation.uncertainty import UncertaintyAnalysis, uncertainty_analysis
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
 from idtool.robot.config import EffectEntry, Regularization
@@ -133,6 +134,8 @@ def fit(
     """
     clock = _Clock()
     experiment, delay, data = with_delay(experiment, progress)
+    if experiment.equation.contacts is not None:
+        experiment, data = with_row_noise(experiment, progress)
     if delay is None and analyze_uncertainty:
         delay = command_delay(experiment, progress)
     clock.stop("delay")
@@ -168,6 +171,9 @@ def fit(
         experiment, identification, train.independent_samples, progress, analyze_uncertainty, delay_error
     )
     notices += analysis.notices
+    if simulate and experiment.model.has_floating_base:
+        message = "a robot with a floating base is not simulated; torque, force and moment are validated"
+        notices.append(Notice("floating_base_not_simulated", "note", None, message))
     clock.stop("uncertainty")
 
     fitted = Fit(
@@ -185,7 +191,7 @@ def fit(
         seconds=clock.seconds,
         delay=delay,
     )
-    if simulate:
+    if simulate and not experiment.model.has_floating_base:
         fitted = with_simulation(fitted, simulate_fit(fitted, progress))
     clock.stop("simulate")
     return fitted

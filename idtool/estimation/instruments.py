@@ -82,6 +82,8 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
     ModelError
         If the model cannot be simulated, or runs away.
     """
+    if experiment.model.has_floating_base:
+        raise ModelError("--method iv", "needs a fixed base; use least squares for a robot whose base moves")
     signals, controller = run.signals, experiment.config.controller
     kind: Kind
     if controller is not None and all(signals.log.has("qcmd", n) and n in controller.kp for n in signals.joints):

@@ -80,8 +80,8 @@ def fit_report(fit: Fit) -> FitReport:
         simulation=simulation_report(fit.simulation, "identified", experiment),
         noise=dict(zip(joints, fit.estimate.noise.tolist(), strict=True)),
         bodies={body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
-        friction={joint: friction_report(fit, joint) for joint in joints},
-        friction_intervals={joint: friction_intervals(fit, joint) for joint in joints},
+        friction={joint: friction_report(fit, joint) for joint in experiment.model.joint_names},
+        friction_intervals={joint: friction_intervals(fit, joint) for joint in experiment.model.joint_names},
         effects=[effect_report(fit, entry) for entry in experiment.config.effects],
         rotors=reflected_inertia_report(fit),
         controller=controller_report(fit),
@@ -250,7 +250,7 @@ def friction_intervals(fit: Fit, joint: str) -> FrictionIntervals:
 
 def joint_dynamics(fit: Fit) -> dict[str, JointDynamics]:
     """Friction for the URDF."""
-    return {joint: _urdf_dynamics(fit, joint) for joint in fit.experiment.equation.joints}
+    return {joint: _urdf_dynamics(fit, joint) for joint in fit.experiment.model.joint_names}
 
 
 def _urdf_dynamics(fit: Fit, joint: str) -> JointDynamics:
@@ -265,9 +265,9 @@ def model_config(fit: Fit) -> dict[str, Any]:
     experiment = fit.experiment
     config: Config = experiment.config
     data: dict[str, Any] = config.model_dump(mode="json", exclude_unset=True)
-    data["joints"] = list(experiment.equation.joints)
+    data["joints"] = list(experiment.model.joint_names)
     data["filter"] = {**config.filter.model_dump(mode="json"), "cutoff_hz": experiment.band_hz}
-    data["friction"] = {joint: _friction_terms(fit, joint) for joint in experiment.equation.joints}
+    data["friction"] = {joint: _friction_terms(fit, joint) for joint in experiment.model.joint_names}
     for entry, given in zip(data.get("effects", ()), config.effects, strict=True):
         entry["parameters"].update(_effect_parameters(fit, given))
     robot_links = experiment.model.robot.links

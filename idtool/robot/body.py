@@ -77,6 +77,8 @@ class Body:
         phi = ratios · q + offset; shape (nv,), [rad or m].
     members
         The URDF links it is made of, the one that gives the name first; none for a rotor that is not in the URDF.
+    is_base
+        True for a floating base, which moves with the six base coordinates and not along an axis.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Body:
     members: tuple[Member, ...] = ()
     shapes: tuple[Shape, ...] = ()
     com: tuple[float, float, float] | None = None
+    is_base: bool = False
 
     def axial_inertia(self, pi: Array) -> float:
         """Moment of inertia about the body's axis [kg·m²] with parameters in its frame, shape (10,)."""

@@ -31,6 +31,8 @@ def inverse_dynamics(model: RobotModel, pi: Array, q: Array, v: Array, a: Array)
         body = model.bodies[i]
         motion = motions[i]
         force, moment = wrenches[i]
+        if body.is_base:
+            torque[model.joint_count :] += np.concatenate([force, moment])
         along_axis = body.axis @ (force if body.prismatic else moment)
         for joint in np.flatnonzero(body.ratios):
             torque[joint] += body.ratios[joint] * along_axis

@@ -83,12 +83,16 @@ def body_motions(model: RobotModel, q: Array, v: Array, a: Array) -> list[BodyMo
     model
         The tree.
     q, v, a
-        Positions, velocities, accelerations of the joints, shape (nv, N).
+        Positions, velocities, accelerations of the joints, shape (nv, N). For a floating base, v has its angular
+        velocity, and a its proper and its angular acceleration.
     """
     zero = np.zeros((3, 1))
     base = BodyMotion(np.eye(3)[:, :, None], zero, zero, zero, -model.gravity[:, None])
     motions: list[BodyMotion] = []
     for body in model.bodies:
+        if body.is_base:
+            motions.append(_base_motion(model, base, v, a))
+            continue
         parent = base if body.mount.body < 0 else motions[body.mount.body]
         phi = body.ratios @ q + body.offset
         dphi = body.ratios @ v
@@ -103,9 +107,21 @@ def body_jacobians(model: RobotModel, motions: Sequence[BodyMotion]) -> list[Bod
     base = BodyJacobian(no_columns, no_columns, np.zeros(0, dtype=np.intp))
     jacobians: list[BodyJacobian] = []
     for body, motion, support in zip(model.bodies, motions, model.support(), strict=True):
+        coordinates = np.flatnonzero(support)
+        if body.is_base:
+            identity = np.eye(6)[:, :, None]
+            jacobians.append(BodyJacobian(identity[3:], identity[:3], coordinates))
+            continue
         parent = base if body.mount.body < 0 else jacobians[body.mount.body]
-        jacobians.append(_moved_jacobian(body, motion, parent, np.flatnonzero(support)))
+        jacobians.append(_moved_jacobian(body, motion, parent, coordinates))
     return jacobians
+
+
+def _base_motion(model: RobotModel, ground: BodyMotion, v: Array, a: Array) -> BodyMotion:
+    """Motion of a floating base, whose coordinates are along the axes of its own frame."""
+    angular_velocity = v[model.joint_count + 3 :]
+    acceleration = a[model.joint_count :]
+    return BodyMotion(ground.R, ground.p, angular_velocity, acceleration[3:], acceleration[:3])
 
 
 def body_placements(model: RobotModel, q: Array) -> dict[int, tuple[Array, Array]]:

@@ -6,11 +6,17 @@ Every body, link or rotor, hangs on its parent by one axis, along or about which
 
 one entry of `ratios` for a plain joint, a multiple for a mimic joint, the gear ratio for a rotor, several for a belt or
 differential. Links on fixed or locked joints are lumped into the body that carries them. Letters as in `body`.
+
+A floating base is the first body. It has six coordinates after those of the joints: three translations and three
+rotations along the axes of its frame. The equation of motion holds in any frame that moves uniformly, so at every
+sample the base is at position 0 with velocity 0 of its origin; its acceleration is the proper one, which an
+accelerometer measures and which includes gravity. The generalized forces on these coordinates are the external force
+[N] and moment about its origin [N·m] on the robot.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,6 +34,15 @@ from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia, symmetric_matri
 from idtool.robot.shapes import Shape
 from idtool.robot.urdf.reading import Robot, UrdfJoint
 
+BASE_COORDINATES = (
+    "base_force_x",
+    "base_force_y",
+    "base_force_z",
+    "base_moment_x",
+    "base_moment_y",
+    "base_moment_z",
+)
+
 
 @dataclass(frozen=True)
 class RobotModel:
@@ -38,11 +53,13 @@ class RobotModel:
     robot
         The URDF it came from.
     joints
-        The moving joints, in the order of q; nv of them.
+        The moving joints, in the order of q, and those that stand for the coordinates of a floating base; nv in all.
     bodies
-        Links in the URDF's order, then rotors; parents before children.
+        A floating base, links in the URDF's order, then rotors; parents before children.
+    frames
+        Frame of every URDF link.
     gravity
-        In the root link's frame, shape (3,) [m/s²].
+        In the root link's frame, shape (3,) [m/s²]; 0 with a floating base, whose acceleration includes it.
     notices
         What a user should know of how the model was put together, a plain sentence each.
     """
@@ -52,11 +69,27 @@ class RobotModel:
     bodies: tuple[Body, ...]
     gravity: Array
     notices: tuple[Notice, ...] = ()
+    frames: Mapping[str, Frame] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The moving joints' names."""
+        """Names of the moving joints, and of the coordinates of a floating base."""
         return tuple(joint.name for joint in self.joints)
+
+    @property
+    def has_floating_base(self) -> bool:
+        """True if the root link moves freely."""
+        return bool(self.bodies) and self.bodies[0].is_base
+
+    @property
+    def joint_count(self) -> int:
+        """Number of moving joints; the coordinates of a floating base come after them."""
+        return len(self.joints) - len(BASE_COORDINATES) if self.has_floating_base else len(self.joints)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the moving joints."""
+        return self.names[: self.joint_count]
 
     @property
     def units(self) -> dict[str, str]:
@@ -68,6 +101,8 @@ class RobotModel:
         support = np.zeros((len(self.bodies), len(self.joints)), dtype=bool)
         for i, body in enumerate(self.bodies):
             support[i] = body.ratios != 0
+            if body.is_base:
+                support[i, self.joint_count :] = True
             if body.mount.body >= 0:
                 support[i] |= support[body.mount.body]
         return support
@@ -83,6 +118,45 @@ class RobotModel:
             if body.kind == "rotor":
                 inertia += body.axial_inertia(body.pi) * np.outer(body.ratios, body.ratios)
         return inertia
+
+
+def _base_coordinates(robot: Robot) -> Iterator[UrdfJoint]:
+    """The coordinates of a floating base as joints: three that slide and three that turn."""
+    kinds = 3 * ("prismatic",) + 3 * ("revolute",)
+    axes = [*np.eye(3), *np.eye(3)]
+    for name, kind, axis in zip(BASE_COORDINATES, kinds, axes, strict=True):
+        yield UrdfJoint(
+            name=name,
+            kind=kind,
+            parent="",
+            child=robot.root,
+            R=np.eye(3),
+            p=np.zeros(3),
+            axis=axis,
+            damping=0.0,
+            friction=0.0,
+            lower=-np.inf,
+            upper=np.inf,
+            velocity=np.inf,
+            effort=np.inf,
+            mimic=None,
+        )
+
+
+def _floating_base(root: str, coordinates: int) -> Body:
+    """The body of a floating base before links are lumped into it."""
+    at_origin = Frame(-1, np.eye(3), np.zeros(3))
+    return Body(
+        name=root,
+        kind="link",
+        pi=np.zeros(PI_SIZE),
+        ellipsoids=(),
+        mount=at_origin,
+        axis=np.array([0.0, 0.0, 1.0]),
+        prismatic=False,
+        ratios=np.zeros(coordinates),
+        is_base=True,
+    )
 
 
 def build_model(robot: Robot, config: Config, logged: Iterable[str]) -> RobotModel:
@@ -120,10 +194,14 @@ class _Builder:
     notices: list[Notice] = field(default_factory=list)
 
     def build(self) -> RobotModel:
+        is_floating = self.config.base.kind == "floating"
         self.joints = self._moving_joints()
         self.index = {joint.name: i for i, joint in enumerate(self.joints)}
         self._check_names()
-        self._place(self.robot.root, Frame(-1, np.eye(3), np.zeros(3)))
+        if is_floating:
+            self.joints = (*self.joints, *_base_coordinates(self.robot))
+            self.bodies.append(_floating_base(self.robot.root, len(self.joints)))
+        self._place(self.robot.root, Frame(len(self.bodies) - 1, np.eye(3), np.zeros(3)))
         for joint in self.robot.joints.values():
             self._attach(joint)
         links = len(self.bodies)
@@ -137,8 +215,29 @@ class _Builder:
                 meaningless = "its parameters that the data do not determine are meaningless"
                 advice = f"add an inertial to the link; otherwise {meaningless}"
                 self.notices.append(Notice("massless_link", "warning", body.name, message, advice))
-        gravity = np.asarray(self.config.gravity)
-        return RobotModel(self.robot, self.joints, bodies, gravity, tuple(self.notices))
+        self._check_base()
+        gravity = np.zeros(3) if is_floating else np.asarray(self.config.gravity)
+        return RobotModel(self.robot, self.joints, bodies, gravity, tuple(self.notices), self.frames)
+
+    def _check_base(self) -> None:
+        """Refuse a base, an IMU or a contact on a link that does not exist, or that moves against the base."""
+        base = self.config.base
+        on_base = {"base.link": base.link, "base.imu.link": base.imu.link}
+        for key, link in on_base.items():
+            if link is None:
+                continue
+            if link not in self.frames:
+                raise ConfigError(f"{key}: {link}", f"is not a link of the URDF; {suggestion(link, self.frames)}")
+            if self.frames[link].body != self.frames[self.robot.root].body:
+                raise ConfigError(
+                    f"{key}: {link}", f"moves against the root link {self.robot.root}; name a link that is fixed to it"
+                )
+        for i, contact in enumerate(self.config.contacts):
+            key = f"contacts.{i}.link: {contact.link}"
+            if base.kind == "fixed":
+                raise ConfigError("contacts", "are for a robot whose base moves; set base: {kind: floating}")
+            if contact.link not in self.frames:
+                raise ConfigError(key, f"is not a link of the URDF; {suggestion(contact.link, self.frames)}")
 
     def _moving_joints(self) -> tuple[UrdfJoint, ...]:
         actuated = {j.name: j for j in self.robot.joints.values() if j.kind != "fixed" and j.mimic is None}

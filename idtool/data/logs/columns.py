@@ -15,6 +15,7 @@ from pathlib import Path
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.data.logs.log import SIGNALS
+from idtool.data.logs.sensor_channels import SENSOR_CHANNEL
 
 _TIME_NAMES = ("t", "time", "__time", "timestamp")
 _FIELDS = {"position": "q", "velocity": "v", "effort": "tau"}
@@ -38,12 +39,15 @@ class ColumnMap:
         Signal to the index of its column for each joint; None for a joint that lacks it.
     unused
         Names of the other columns.
+    channels
+        Channel of a sensor to the index of its column; see `sensor_channels`.
     """
 
     time: int
     joints: tuple[str, ...]
     signals: Mapping[str, Sequence[int | None]]
     unused: tuple[str, ...]
+    channels: Mapping[str, int]
 
 
 def find_columns(path: Path, header: Sequence[str], topic: str | None, mapping: Mapping[str, str]) -> ColumnMap:
@@ -68,6 +72,10 @@ def find_columns(path: Path, header: Sequence[str], topic: str | None, mapping: 
     mapped = {_parse_canonical(path, name): _column_index(path, header, column) for name, column in mapping.items()}
     unmapped = {i: name for i, name in enumerate(header) if i not in mapped.values()}
     columns = {key: i for key, i in mapped.items() if isinstance(key, tuple)}
+    channels = {key: i for key, i in mapped.items() if isinstance(key, str) and key != "t"}
+    for i, name in unmapped.items():
+        if SENSOR_CHANNEL.fullmatch(name):
+            channels.setdefault(name, i)
     for i, key in _recognize(path, unmapped, topic).items():
         other = columns.setdefault(key, i)
         if other != i and key not in mapped:
@@ -91,15 +99,15 @@ def find_columns(path: Path, header: Sequence[str], topic: str | None, mapping: 
         raise LogError(path, "has a joint name with characters that cannot be printed")
     present = {signal for signal, _ in columns}
     signals = {name: [columns.get((name, joint)) for joint in joints] for name in SIGNALS if name in present}
-    used = {time, *columns.values()}
+    used = {time, *columns.values(), *channels.values()}
     unused = tuple(name for i, name in enumerate(header) if name and i not in used)
-    return ColumnMap(time, joints, signals, unused)
+    return ColumnMap(time, joints, signals, unused, channels)
 
 
 def _parse_canonical(path: Path, name: str) -> JointSignal | str:
-    """Signal and joint of a canonical name; the time's name is returned as it is."""
+    """Signal and joint of a canonical name; that of the time or of a sensor's channel is returned as it is."""
     match = _CANONICAL.fullmatch(name)
-    if not match and name != "t":
+    if not match and name != "t" and not SENSOR_CHANNEL.fullmatch(name):
         names = join_names(SIGNALS)
         raise LogError(
             path, f"log.columns: {printable(name)} is not a canonical name; use t or <signal>_<joint> ({names})"

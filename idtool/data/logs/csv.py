@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,7 +17,7 @@ from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.columns import find_columns
 from idtool.data.logs.interleaved import make_log_of_complete_samples
-from idtool.data.logs.log import SIGNALS, JointLog, truncation_notice
+from idtool.data.logs.log import SIGNALS, Channel, JointLog, truncation_notice
 from idtool.data.logs.sample_buffer import SampleBuffer, Samples
 from idtool.data.logs.table import CsvTable
 from idtool.data.logs.times import convert_to_seconds
@@ -56,9 +57,16 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
                 positions[signal].append(-1 if i is None else len(used))
                 if i is not None:
                     used.append(i)
+        sensor_columns = [0, *range(len(used), len(used) + len(column_map.channels))]
+        joint_columns = len(used)
+        used += column_map.channels.values()
         samples = SampleBuffer(path)
+        sensor_rows = []
         empty_rows = 0
-        for rows in table.rows(used):
+        for all_rows in table.rows(used):
+            if column_map.channels:
+                sensor_rows.append(all_rows[:, sensor_columns])
+            rows = all_rows[:, :joint_columns]
             filled = rows[~np.isnan(rows[:, 1:]).all(axis=1)]
             empty_rows += len(rows) - len(filled)
             with_nan = np.pad(filled, ((0, 0), (0, 1)), constant_values=np.nan)
@@ -79,7 +87,14 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
     notices += convert_to_seconds(t)
     if table.truncated:
         notices.append(truncation_notice("the file", f"{len(t)} samples, up to t = {t[-1]:.3f} s"))
-    return make_log_of_complete_samples(path, t, joints, arrays, tuple(notices))
+    log = make_log_of_complete_samples(path, t, joints, arrays, tuple(notices))
+    if not sensor_rows:
+        return log
+    sensors = np.concatenate(sensor_rows)
+    sensor_times = sensors[:, 0].copy()
+    convert_to_seconds(sensor_times)
+    channels = {name: Channel(sensor_times, x) for name, x in zip(column_map.channels, sensors.T[1:], strict=True)}
+    return replace(log, channels=channels)
 
 
 def write(file: BinaryIO, log: JointLog) -> None:

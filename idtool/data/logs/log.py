@@ -7,7 +7,7 @@ Letters: t time [s], q position [rad or m], v velocity [rad/s or m/s], tau torqu
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,31 @@ SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
 
 _RECOVERY = 20  # samples before and after a long step that decide whether it is a gap
 _BLOCK = 1 << 15  # samples checked together
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel of a sensor with stamps of its own.
+
+    Attributes
+    ----------
+    t
+        Times [s], shape (k,).
+    x
+        Values, shape (k,); one that is not finite is none.
+    """
+
+    t: Array
+    x: Array
+
+    def at(self, t: Array) -> Array:
+        """Interpolated values at times [s], shape (N,)."""
+        return np.interp(t, self.t, self.x)
+
+    def latest(self, t: Array) -> Array:
+        """The latest value at times [s], shape (N,)."""
+        index = np.searchsorted(self.t, t, side="right") - 1
+        return np.asarray(self.x[np.maximum(index, 0)])
 
 
 @dataclass(frozen=True)
@@ -48,6 +73,8 @@ class JointLog:
         Notices of the reader.
     sources
         The files that were read.
+    channels
+        Channels of sensors that are of no joint, by name; see `sensor_channels`.
     """
 
     path: Path
@@ -58,6 +85,7 @@ class JointLog:
     dt: float
     notices: tuple[Notice, ...] = ()
     sources: tuple[InputFile, ...] = ()
+    channels: Mapping[str, Channel] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.t)

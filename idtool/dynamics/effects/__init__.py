@@ -78,7 +78,7 @@ def build_effects(model: RobotModel, config: Config) -> tuple[Effect, ...]:
     for entry in config.effects:
         model = effect_from_entry(entry, model).modify_model(model)
     effects: dict[tuple[str | float, ...], NamedEffect] = {}
-    for joint in range(len(model.joints)):
+    for joint in range(model.joint_count):
         for term in _friction(model, joint, config):
             effects[term.key] = term
     entry_keys: set[tuple[str | float, ...]] = set()

@@ -97,9 +97,9 @@ def read_joint_index(entry: EffectEntry, name: Any, model: RobotModel, parameter
     ConfigError
         If the model has no such joint.
     """
-    if name not in model.names:
+    if name not in model.joint_names:
         subject = f"{parameter} {printable(str(name))}".strip()
         raise ConfigError(
-            entry_location(entry), f"{subject} is not a moving joint; {suggestion(str(name), model.names)}"
+            entry_location(entry), f"{subject} is not a moving joint; {suggestion(str(name), model.joint_names)}"
         )
-    return model.names.index(name)
+    return model.joint_names.index(name)

@@ -83,14 +83,14 @@ def block_rows(rows: int, seconds: float, band_hz: float, most: int) -> int:
 
 
 def cut_into_blocks(
-    rows: Iterable[tuple[list[Array], list[Mask]]], length: int, redundancy: float
+    rows: Iterable[tuple[list[Array], list[Mask] | list[Array]]], length: int, redundancy: float
 ) -> Iterator[Reduction]:
     """Reductions of blocks of ``length`` rows each from a stream of rows.
 
     Parameters
     ----------
     rows
-        Per joint the columns, shape (m_j + 1, n), and which of the n count.
+        Per joint the columns, shape (m_j + 1, n), and which of the n count, or with which share of a row each does.
     length
         Rows in a block, including those that don't count.
     redundancy
@@ -98,12 +98,12 @@ def cut_into_blocks(
     """
     block: Reduction | None = None
     filled = 0
-    for columns, kept in rows:
+    for columns, shares in rows:
         first, count = 0, columns[0].shape[1]
         while first < count:
             part = slice(first, min(first + length - filled, count))
-            pairs = zip(columns, kept, strict=True)
-            new = tuple(Factor.from_columns(x[:, part][:, keep[part]], redundancy) for x, keep in pairs)
+            pairs = zip(columns, shares, strict=True)
+            new = tuple(_factor(x[:, part], share[part].astype(float), redundancy) for x, share in pairs)
             block = new if block is None else merge(block, new)
             filled += part.stop - first
             first = part.stop
@@ -113,3 +113,10 @@ def cut_into_blocks(
                 filled = 0
     if block is not None:
         yield block
+
+
+def _factor(columns: Array, shares: Array, redundancy: float) -> Factor:
+    """Factor of the samples that count, shape (m_j + 1, n), as many as the sum of their shares, shape (n,)."""
+    factor = Factor.from_columns(columns[:, shares > 0], redundancy)
+    rows = float(shares.sum())
+    return replace(factor, rows=rows, independent=rows / redundancy)

@@ -13,22 +13,26 @@ from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
+from idtool.data.base_sensors import BaseSensors, needed_channels
 from idtool.data.controller import without_constant_torque
 from idtool.data.logs import JointLog, read_log
+from idtool.data.logs.sensor_channels import with_sensors
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
 from idtool.data.signals import Batch, Signals, default_cutoff
+from idtool.dynamics.contact_forces import ContactForces
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.reduction import Reduction, empty
+from idtool.estimation.dataset.weights import initial_row_noise
 from idtool.robot.config import Config
 from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
-Rows = Iterable[tuple[list[Array], list[Mask]]]
+Rows = Iterable[tuple[list[Array], list[Mask] | list[Array]]]
 
 _LARGEST = 1e12  # of a signal in SI: powers of what is larger are not finite
 _STANDING = {"prismatic": 0.005}  # m, that a joint may move and still count as standing
@@ -172,7 +176,7 @@ class Experiment:
     def rows(self, run: Run, progress: Progress) -> Rows:
         """The torque equation's rows along the training part of a log, batch after batch."""
         stage = f"reading {run.signals.log.path.name}"
-        return map(self.equation.filtered_rows, tracked(self.batches(run, False), run.train, progress, stage))
+        return map(self.equation.counted_rows, tracked(self.batches(run, False), run.train, progress, stage))
 
     def blocks(self, rows: Callable[[Run], Rows]) -> tuple[Blocks, ...]:
         """The training data as R-factors of consecutive blocks, log by log.
@@ -303,21 +307,56 @@ def prepare(
     common = [name for name in every[0].joints if all(name in log.joints for log in every)]
     model = build_model(robot, config, common)
     for log in every:
-        _check_signals(log, model.names)
-    equation = LinearModel(model.names, build_effects(model, config))
+        _check_signals(log, model.joint_names)
+    equation = LinearModel(
+        model.names, build_effects(model, config), contacts=_contacts(model, config, fitted or every)
+    )
     equalities = equality_constraints(config, model, equation)
     if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
         band = min(default_cutoff(log.dt) for log in every)
         config = config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": band})})
-    runs = [_split(Signals(log, model.names, config), 0.0 if validate else holdout) for log in fitted]
-    runs += [_split(Signals(log, model.names, config), 1.0) for log in validated]
+    runs = [_split(signals_of(log, model, config), 0.0 if validate else holdout) for log in fitted]
+    runs += [_split(signals_of(log, model, config), 1.0) for log in validated]
     return Experiment(config, with_equal_bounds(model, equalities), equation, equalities, tuple(runs))
+
+
+def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
+    """A log as the motion of a model.
+
+    Raises
+    ------
+    LogError
+        If it lacks a signal of a joint or of a sensor of the base.
+    """
+    sensors = None
+    if model.has_floating_base:
+        imu_frame = model.frames[config.base.imu.link or model.robot.root]
+        sensors = BaseSensors(log, config, imu_frame)
+    return Signals(log, model.joint_names, config, sensors)
+
+
+def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> ContactForces | None:
+    """The contacts of a robot with a floating base; the first guess of the rows' noise is by its torque in the logs."""
+    if not model.has_floating_base:
+        return None
+    squares = [np.nanmean(np.square(_torques(log, model.joint_names)), axis=0) for log in logs]
+    torque = np.sqrt(np.mean(squares, axis=0))
+    return ContactForces(model, config.contacts, initial_row_noise(model, torque))
+
+
+def _torques(log: JointLog, joints: Sequence[str]) -> Array:
+    """Logged torque of joints, shape (N, joints); 1 N·m where none was logged."""
+    columns = [log.joints.index(name) for name in joints]
+    tau = log.signals["tau"][:, columns] if "tau" in log.signals else np.ones((len(log), len(joints)))
+    return np.where(np.isnan(tau).all(axis=0), 1.0, tau)
 
 
 def _read(log: Path | JointLog, config: Config) -> JointLog:
     if not isinstance(log, JointLog):
         options = config.log
         log = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
+    if config.base.kind == "floating":
+        log = with_sensors(log, needed_channels(config))
     return without_constant_torque(log, config.controller)
 
 

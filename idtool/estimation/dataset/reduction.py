@@ -24,13 +24,13 @@ class Factor:
     R
         Triangular factor of [Y_j, tau_j], shape (at most m_j + 1, m_j + 1).
     rows
-        Number of rows that went into it.
+        Number of rows that went into it; without contact forces, what they leave of rows counts as a share of one.
     independent
         Number of independent rows that they are worth: filtered samples repeat each other.
     """
 
     R: Array
-    rows: int
+    rows: float
     independent: float
 
     def __add__(self, other: Factor) -> Factor:

@@ -11,9 +11,12 @@ from idtool.common.arrays import Array
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Factor, Reduction
+from idtool.robot.model import RobotModel
 
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
 _WEIGHINGS = 2  # of the joints by their noise
+_GUESSED_SHARE = 0.02  # of a joint's torque, or of the weight: first guess of the noise
+_GUESSED_ARM = 0.1  # m, at which the noise of a base's force acts
 _LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can handle
 
 
@@ -69,3 +72,20 @@ def free_noise(model: LinearModel, reduction: Reduction, equalities: EqualityCon
         joints = zip(reduction, model.active(), strict=True)
         sigma = np.array([residual_noise(factor, theta[columns], share) for factor, columns in joints])
     return sigma
+
+
+def initial_row_noise(model: RobotModel, torque: Array) -> Array:
+    """First guess of the noise of every row, shape (nv,) [N or N·m].
+
+    Parameters
+    ----------
+    model
+        The tree of bodies.
+    torque
+        RMS torque of the joints, shape (joints,) [N·m or N].
+    """
+    weight = 9.81 * max(sum(float(body.pi[0]) for body in model.bodies), 1.0)
+    force = _GUESSED_SHARE * weight
+    typical = float(np.median(torque)) or 1.0
+    joints = _GUESSED_SHARE * np.maximum(torque, 0.1 * typical)
+    return np.concatenate([joints, np.full(3, force), np.full(3, force * _GUESSED_ARM)])

@@ -101,7 +101,7 @@ def prior_bodies(config: Config, model: RobotModel, equation: LinearModel, reduc
         notices.append(_placeholder_notice(reasons, densities, source))
     if bodies is not model.bodies:
         effects = build_effects(replace(model, bodies=bodies), config)
-        equation = LinearModel(equation.joints, effects, equation.operating_point)
+        equation = replace(equation, effects=effects)
     return PriorBodies(bodies, equation, tuple(reasons), tuple(notices))
 
 

@@ -190,7 +190,7 @@ def learn(
         for name, result in results.items()
     }
     if not pool.whole:
-        steps = [*steps, max(factor.rows for factor in total)]
+        steps = [*steps, round(max(factor.rows for factor in total))]
         for name, build in problem_of.items():
             curves[name].append(np.array([_outcome(build(total), validation, active)]))
     first_set = next(iter(curves.values()))

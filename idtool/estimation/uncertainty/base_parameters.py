@@ -104,7 +104,7 @@ def structural_base_parameters(
     equalities = equalities or EqualityConstraints.none(p)
     motion = random_motion(model)
     factors = []
-    for columns, block in zip(equation.active(), equation.columns(motion), strict=True):
+    for columns, block in zip(equation.active_in_columns(), equation.columns(motion), strict=True):
         R = np.linalg.qr(block[:-1].T, mode="r")
         factor = np.zeros((len(R), p))
         factor[:, columns] = R

@@ -14,6 +14,7 @@ from idtool.common.safe_yaml import parse_yaml, yaml_bytes
 from idtool.robot.config.base import ConfigRecord, Finite, Vector, validate_record
 from idtool.robot.config.bounds import BoundingEllipsoid, BoundingShape
 from idtool.robot.config.estimation import Constraints, KnownMasses, Mirror, Regularization, Solver
+from idtool.robot.config.floating_base import Base, Contact
 from idtool.robot.config.limits import JointLimits
 from idtool.robot.config.rotors import RotorConfig
 from idtool.robot.config.signals import Controller, Filter, LogOptions, SimulationOptions
@@ -25,6 +26,14 @@ def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
         if names.count(name) > 1:
             raise ValueError(f"{name} is listed twice; list each joint once")
     return names
+
+
+def _unique_contacts(contacts: tuple[Contact, ...]) -> tuple[Contact, ...]:
+    names = [contact.name for contact in contacts]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{name} is listed twice; give each contact a name of its own")
+    return contacts
 
 
 class Config(ConfigRecord):
@@ -53,6 +62,8 @@ class Config(ConfigRecord):
     controller: Controller | None = None
     simulation: SimulationOptions = SimulationOptions()
     limits: dict[str, JointLimits] = Field(default_factory=dict)
+    base: Base = Base()
+    contacts: Annotated[tuple[Contact, ...], AfterValidator(_unique_contacts)] = ()
     seed: int = 0
 
     _source: InputFile | None = PrivateAttr(default=None)

@@ -1,0 +1,185 @@
+"""Logs of the quadruped in motion, and the configuration for them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from ground.motions import motion
+from ground.plant import BASE, Physics, Plant
+from ground.robot import (
+    FEET,
+    FOOT_RADIUS,
+    GEAR,
+    IMU_POSITION,
+    IMU_TURN,
+    JOINTS,
+    Array,
+    Quadruped,
+    mounts,
+    rotor,
+)
+
+RATE = 1000  # samples a second
+_STEPS = 4  # of the simulation for each sample
+_CLOSED = 4.0  # N: normal force from which a foot's flag is set
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Noise of the sensors, each as a standard deviation of white noise, and delays [s]."""
+
+    q: float = 3e-5  # rad
+    v: float = 5e-3  # rad/s
+    tau: float = 0.08  # N m
+    gyroscope: float = 2e-3  # rad/s
+    accelerometer: float = 0.04  # m/s^2
+    orientation: float = 5e-4  # rad
+    force: float = 0.5  # N
+    imu_delay: float = 0.0
+    torque_delay: float = 0.0
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Channels by their column's name, shape (N,), and what no sensor sees.
+
+    Attributes
+    ----------
+    columns
+        As logged.
+    base_wrench
+        Force and moment of the ground about the trunk's origin along its axes, shape (N, 6) [N, N m].
+    """
+
+    columns: Mapping[str, Array]
+    base_wrench: Array
+
+
+@dataclass
+class _Samples:
+    """What is recorded of the motion, sample by sample."""
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+
+def record(
+    robot: Quadruped, kind: str, seconds: float, seed: int, physics: Physics | None = None, sensors: Sensors | None = None
+) -> Recording:
+    """Recording of a motion; RuntimeError if the robot falls."""
+    sensors = sensors or Sensors()
+    course = motion(kind, seed)
+    physics = replace(physics or Physics(), is_held=course.is_held)
+    q_first, _ = course.reference(0.0)
+    dt = 1 / RATE / _STEPS
+    plant = Plant(robot, physics, dt, q_first, course.height)
+    samples = _Samples()
+    for i in range(round((seconds + 1) * RATE)):
+        t = i / RATE - 1  # it settles for a second
+        q_reference, v_reference = course.reference(max(t, 0.0))
+        tau = course.kp * (q_reference - plant.q) + course.kd * (v_reference - plant.v[BASE:])
+        before = _state(plant, tau)
+        for _ in range(_STEPS):
+            plant.step(tau)
+        if t >= 0:
+            before["acceleration"] = plant.acceleration.copy()
+            before["forces"] = plant.forces.copy()
+            samples.rows.append(before)
+        if not course.is_held and plant.trunk[0][2] < 0.15:
+            raise RuntimeError(f"the robot fell after {t:.1f} s")
+    return _measured({key: np.array([row[key] for row in samples.rows]) for key in samples.rows[0]}, sensors, seed)
+
+
+def _state(plant: Plant, tau: Array) -> dict[str, Any]:
+    position, R = plant.trunk
+    return {"q": plant.q.copy(), "v": plant.v.copy(), "tau": tau, "position": position, "R": R}
+
+
+def _measured(states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recording:
+    """What the sensors give of the true states."""
+    rng = np.random.default_rng([seed, 4])
+    count = len(states["q"])
+    R, w = states["R"], states["v"][:, 3:BASE]
+    at_origin = np.einsum("nji,nj->ni", R, states["acceleration"][:, :3] + [0.0, 0.0, 9.81])
+    angular = states["acceleration"][:, 3:BASE]
+    at_imu = at_origin + np.cross(angular, IMU_POSITION) + np.cross(w, np.cross(w, IMU_POSITION))
+    turn = Rotation.from_euler("z", IMU_TURN)
+    to_imu = turn.as_matrix().T
+    orientation = Rotation.from_matrix(R) * turn * Rotation.from_rotvec(sensors.orientation * rng.normal(size=(count, 3)))
+    quaternion = orientation.as_quat()
+    columns: dict[str, Array] = {"t": np.arange(count) / RATE}
+    late = round(sensors.torque_delay * RATE)
+    for j, name in enumerate(JOINTS):
+        columns[f"q_{name}"] = states["q"][:, j] + sensors.q * rng.normal(size=count)
+        columns[f"v_{name}"] = states["v"][:, BASE + j] + sensors.v * rng.normal(size=count)
+        torque = np.concatenate([np.repeat(states["tau"][:1, j], late), states["tau"][: count - late, j]])
+        columns[f"tau_{name}"] = torque + sensors.tau * rng.normal(size=count)
+    imu_late = round(sensors.imu_delay * RATE)
+    imu = {
+        "w": w @ to_imu.T + sensors.gyroscope * rng.normal(size=(count, 3)),
+        "a": at_imu @ to_imu.T + sensors.accelerometer * rng.normal(size=(count, 3)),
+    }
+    for letter, values in imu.items():
+        for k, axis in enumerate("xyz"):
+            columns[f"imu_{letter}{axis}"] = _late(values[:, k], imu_late)
+    for k, part in enumerate("xyzw"):
+        columns[f"imu_q{part}"] = _late(quaternion[:, k], imu_late)
+    for k, foot in enumerate(FEET):
+        force = states["forces"][:, k]
+        columns[f"contact_{foot}"] = (force[:, 2] > _CLOSED).astype(float)
+        for i, axis in enumerate("xyz"):
+            columns[f"force_{foot}_{axis}"] = force[:, i] + sensors.force * rng.normal(size=count)
+    columns["contact_rope"] = np.full(count, float(np.all(states["forces"] == 0)))
+    return Recording(columns, np.zeros((count, BASE)))
+
+
+def _late(x: Array, samples: int) -> Array:
+    return np.concatenate([np.repeat(x[:1], samples), x[: len(x) - samples]])
+
+
+def write_csv(path: Path, recording: Recording) -> None:
+    """Write a recording as a table."""
+    table = np.stack(list(recording.columns.values()), axis=1)
+    np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(recording.columns), comments="")
+
+
+def config_text(robot: Quadruped, are_forces_measured: bool) -> str:
+    """Configuration: floating base, contacts, rotors by data sheet, bounds of the links."""
+    contacts: list[dict[str, Any]] = []
+    for foot in FEET:
+        contact: dict[str, Any] = {"name": foot, "link": foot, "kind": "point", "radius": FOOT_RADIUS}
+        if are_forces_measured:
+            contact["force"] = [f"force_{foot}_{axis}" for axis in "xyz"]
+        else:
+            contact["flag"] = f"contact_{foot}"
+        contacts.append(contact)
+    contacts.append({"name": "rope", "link": "trunk", "kind": "surface", "flag": "contact_rope"})
+    ellipsoids = {}
+    for name, body in robot.links.items():
+        ellipsoids[name] = [{"center": body.center.tolist(), "semi_axes": body.semi_axes.tolist()}]
+    rotors = {}
+    for name, mount in mounts().items():
+        body = rotor(mount.axis)
+        rotors[f"{name}_rotor"] = {
+            "joint": name,
+            "gear_ratio": GEAR,
+            "inertial": {
+                "mass": body.mass,
+                "com": [0.0, 0.0, 0.0],
+                "inertia": body.inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]].tolist(),
+            },
+            "bounding_ellipsoid": {"center": [0.0, 0.0, 0.0], "semi_axes": body.semi_axes.tolist()},
+        }
+    content = {
+        "base": {"kind": "floating", "link": "trunk", "imu": {"link": "imu_link"}},
+        "contacts": contacts,
+        "bounding_ellipsoids": ellipsoids,
+        "rotors": rotors,
+    }
+    return yaml.safe_dump(content, sort_keys=False)

@@ -1,0 +1,72 @@
+"""A base that moves freely: its IMU, and the contacts that carry it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Vector
+
+_MAX_WIDENING = 10.0  # s
+
+
+class Imu(ConfigRecord):
+    """The inertial measurement unit: its link, by default the base's, and how late it is against the joints [s]."""
+
+    link: str | None = None
+    delay: Finite = 0.0
+
+
+class Base(ConfigRecord):
+    """The root link: fixed to the ground, or floating, its motion measured by an IMU.
+
+    ``link`` names it, by default the URDF's root.
+    """
+
+    kind: Literal["fixed", "floating"] = "fixed"
+    link: str | None = None
+    imu: Imu = Imu()
+
+
+class Contact(ConfigRecord):
+    """A place where the ground, or whatever holds the robot, acts on a link.
+
+    A ``point`` takes a force, a ``surface`` a force and a moment. ``point`` is in the link's frame [m]; with a
+    ``radius`` [m] it is the centre of a ball, whose lowest point is the contact. ``flag`` names the log's channel that
+    tells when it is closed; without one, it always is. A flag is widened by ``widen`` [s] at both ends. ``force`` and
+    ``moment`` name the channels of a measured wrench on the link, along the axes of ``frame``; without them, the wrench
+    is unknown.
+    """
+
+    name: str
+    link: str
+    kind: Literal["point", "surface"] = "point"
+    point: Vector = (0.0, 0.0, 0.0)
+    radius: NonNegative = 0.0
+    flag: str | None = None
+    widen: Annotated[NonNegative, Field(le=_MAX_WIDENING)] = 0.12
+    frame: Literal["world", "link"] = "world"
+    force: tuple[str, str, str] | None = None
+    moment: tuple[str, str, str] | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Contact:
+        if self.moment is not None and self.force is None:
+            raise ValueError("has a moment and no force; give the channels of both")
+        if self.moment is not None and self.kind == "point":
+            raise ValueError("is a point, which takes no moment; set kind: surface, or leave out moment")
+        if self.force is not None and self.moment is None and self.kind == "surface":
+            raise ValueError("is a surface, whose moment is needed too; give moment, or set kind: point")
+        return self
+
+    @property
+    def is_measured(self) -> bool:
+        """True if the log has its wrench."""
+        return self.force is not None
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The log's channels that it needs."""
+        flag = (self.flag,) if self.flag is not None else ()
+        return (*flag, *(self.force or ()), *(self.moment or ()))
