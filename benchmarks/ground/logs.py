@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,15 +62,13 @@ class Recording:
     base_wrench: Array
 
 
-@dataclass
-class _Samples:
-    """What is recorded of the motion, sample by sample."""
-
-    rows: list[dict[str, Any]] = field(default_factory=list)
-
-
 def record(
-    robot: Quadruped, kind: str, seconds: float, seed: int, physics: Physics | None = None, sensors: Sensors | None = None
+    robot: Quadruped,
+    kind: str,
+    seconds: float,
+    seed: int,
+    physics: Physics | None = None,
+    sensors: Sensors | None = None,
 ) -> Recording:
     """Recording of a motion; RuntimeError if the robot falls."""
     sensors = sensors or Sensors()
@@ -79,21 +77,22 @@ def record(
     q_first, _ = course.reference(0.0)
     dt = 1 / RATE / _STEPS
     plant = Plant(robot, physics, dt, q_first, course.height)
-    samples = _Samples()
+    rows = []
     for i in range(round((seconds + 1) * RATE)):
         t = i / RATE - 1  # it settles for a second
         q_reference, v_reference = course.reference(max(t, 0.0))
         tau = course.kp * (q_reference - plant.q) + course.kd * (v_reference - plant.v[BASE:])
-        before = _state(plant, tau)
-        for _ in range(_STEPS):
+        state = _state(plant, tau)
+        for step in range(_STEPS):
             plant.step(tau)
+            if step == 0:
+                state["acceleration"] = plant.acceleration.copy()
+                state["forces"] = plant.forces.copy()
         if t >= 0:
-            before["acceleration"] = plant.acceleration.copy()
-            before["forces"] = plant.forces.copy()
-            samples.rows.append(before)
+            rows.append(state)
         if not course.is_held and plant.trunk[0][2] < 0.15:
             raise RuntimeError(f"the robot fell after {t:.1f} s")
-    return _measured({key: np.array([row[key] for row in samples.rows]) for key in samples.rows[0]}, sensors, seed)
+    return _measured({key: np.array([row[key] for row in rows]) for key in rows[0]}, sensors, seed)
 
 
 def _state(plant: Plant, tau: Array) -> dict[str, Any]:
@@ -111,7 +110,9 @@ def _measured(states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recor
     at_imu = at_origin + np.cross(angular, IMU_POSITION) + np.cross(w, np.cross(w, IMU_POSITION))
     turn = Rotation.from_euler("z", IMU_TURN)
     to_imu = turn.as_matrix().T
-    orientation = Rotation.from_matrix(R) * turn * Rotation.from_rotvec(sensors.orientation * rng.normal(size=(count, 3)))
+    orientation = (
+        Rotation.from_matrix(R) * turn * Rotation.from_rotvec(sensors.orientation * rng.normal(size=(count, 3)))
+    )
     quaternion = orientation.as_quat()
     columns: dict[str, Array] = {"t": np.arange(count) / RATE}
     late = round(sensors.torque_delay * RATE)

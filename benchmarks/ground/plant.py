@@ -165,13 +165,11 @@ class Plant:
             shear *= largest / size
             self._anchors[foot] = point[:2] + shear / _SHEAR_STIFFNESS
         self.forces[foot] = [*shear, normal]
-        mujoco.mj_applyFT(
-            self.model, self.data, self.forces[foot], np.zeros(3), point, self._calves[foot], force
-        )
+        mujoco.mj_applyFT(self.model, self.data, self.forces[foot], np.zeros(3), point, self._calves[foot], force)
 
     def _hold(self) -> Array:
         """Force and moment of what holds the trunk, in MuJoCo's coordinates of a free joint."""
-        position, R = self.trunk
+        position, _ = self.trunk
         rotation = np.zeros(3)
         mujoco.mju_quat2Vel(rotation, self.data.qpos[3:7], 1.0)
         error = np.concatenate([position - [0, 0, self._height], rotation])

@@ -75,9 +75,7 @@ def mounts() -> dict[str, Mount]:
     found = {}
     for leg in LEGS:
         forward, left = (1.0 if leg[0] == "F" else -1.0), (1.0 if leg[1] == "L" else -1.0)
-        found[f"{leg}_hip_joint"] = Mount(
-            "trunk", f"{leg}_hip", _HIP * [forward, left, 1.0], np.array([1.0, 0.0, 0.0])
-        )
+        found[f"{leg}_hip_joint"] = Mount("trunk", f"{leg}_hip", _HIP * [forward, left, 1.0], np.array([1.0, 0.0, 0.0]))
         offset = np.array([0.0, left * _THIGH_OFFSET, 0.0])
         found[f"{leg}_thigh_joint"] = Mount(f"{leg}_hip", f"{leg}_thigh", offset, np.array([0.0, 1.0, 0.0]))
         below = np.array([0.0, 0.0, -_THIGH])

@@ -109,6 +109,7 @@ def export(
     if source.is_file():
         source = source.parent
     identified = read_identified(source)
+    identified.config.require_fixed_base("export")
     inputs = [source / URDF, source / CONFIG]
     target = source
     if patch is not None:

@@ -26,7 +26,7 @@ from idtool.robot.config import Contact
 from idtool.robot.kinematics import BodyJacobian, body_jacobians, body_motions, body_placements, cross, rotate
 from idtool.robot.model import RobotModel
 
-_SINGULAR = 1e-9  # of the mean squared direction of a contact force: components without influence, as at open contacts
+_SINGULAR = 1e-11  # of the mean squared direction of a contact force: components without influence, as at open contacts
 
 
 @dataclass(frozen=True)

@@ -171,9 +171,6 @@ def fit(
         experiment, identification, train.independent_samples, progress, analyze_uncertainty, delay_error
     )
     notices += analysis.notices
-    if simulate and experiment.model.has_floating_base:
-        message = "a robot with a floating base is not simulated; torque, force and moment are validated"
-        notices.append(Notice("floating_base_not_simulated", "note", None, message))
     clock.stop("uncertainty")
 
     fitted = Fit(

@@ -268,6 +268,10 @@ def model_config(fit: Fit) -> dict[str, Any]:
     data["joints"] = list(experiment.model.joint_names)
     data["filter"] = {**config.filter.model_dump(mode="json"), "cutoff_hz": experiment.band_hz}
     data["friction"] = {joint: _friction_terms(fit, joint) for joint in experiment.model.joint_names}
+    contacts = experiment.equation.contacts
+    if contacts is not None:
+        noise = dict(zip(experiment.equation.joints, round_to_digits(contacts.noise, 4).tolist(), strict=True))
+        data["base"] = {**data["base"], "noise": noise}
     for entry, given in zip(data.get("effects", ()), config.effects, strict=True):
         entry["parameters"].update(_effect_parameters(fit, given))
     robot_links = experiment.model.robot.links

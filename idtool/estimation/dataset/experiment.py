@@ -10,7 +10,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError, ModelError
-from idtool.common.names import join_names, printable
+from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.data.base_sensors import BaseSensors, needed_channels
@@ -97,6 +97,9 @@ class Experiment:
         if by_command and controller is not None and controller.known_delay is None:
             message = "the delay is not known, so 0 is used; idtool fit determines it"
             notices.append(Notice("command_delay_not_fitted", "warning", "controller.delay", message))
+        if self.model.has_floating_base:
+            message = "a robot with a floating base is not simulated; torques, forces and moments are validated"
+            notices.append(Notice("floating_base_not_simulated", "note", None, message))
         for run in self.runs:
             for notice in (*run.signals.log.notices, *run.signals.notices):
                 notices.append(notice.about(run.signals.log.path.name) if len(self.runs) > 1 else notice)
@@ -336,12 +339,16 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
 
 
 def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> ContactForces | None:
-    """The contacts of a robot with a floating base; the first guess of the rows' noise is by its torque in the logs."""
+    """The contacts of a robot with a floating base; noise of rows that is not configured is guessed from its torque."""
     if not model.has_floating_base:
         return None
     squares = [np.nanmean(np.square(_torques(log, model.joint_names)), axis=0) for log in logs]
-    torque = np.sqrt(np.mean(squares, axis=0))
-    return ContactForces(model, config.contacts, initial_row_noise(model, torque))
+    noise = initial_row_noise(model, np.sqrt(np.mean(squares, axis=0)))
+    for name, value in config.base.noise.items():
+        if name not in model.names:
+            raise ConfigError(f"base.noise: {name}", f"is not a row of the equation; {suggestion(name, model.names)}")
+        noise[model.names.index(name)] = value
+    return ContactForces(model, config.contacts, noise)
 
 
 def _torques(log: JointLog, joints: Sequence[str]) -> Array:

@@ -73,6 +73,12 @@ class Config(ConfigRecord):
         """The file it was read from, if any."""
         return self._source
 
+    def require_fixed_base(self, command: str) -> None:
+        """Raise ConfigError if the base floats, which the command cannot handle."""
+        if self.base.kind != "fixed":
+            what = f"idtool {command} needs a fixed base; a floating one is for fit, validate and inspect"
+            raise ConfigError("base.kind: floating", what)
+
     def without_friction_values(self) -> Config:
         """A copy with the friction terms, but without their values and without effects."""
 

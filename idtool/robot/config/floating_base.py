@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Vector
+from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Positive, Vector
 
 _MAX_WIDENING = 10.0  # s
 
@@ -21,12 +21,14 @@ class Imu(ConfigRecord):
 class Base(ConfigRecord):
     """The root link: fixed to the ground, or floating, its motion measured by an IMU.
 
-    ``link`` names it, by default the URDF's root.
+    ``link`` names it, by default the URDF's root. ``noise`` is that of the joints' torques and of the base's force and
+    moment [N·m or N], by which unknown contact forces are eliminated; a fit determines it.
     """
 
     kind: Literal["fixed", "floating"] = "fixed"
     link: str | None = None
     imu: Imu = Imu()
+    noise: dict[str, Positive] = Field(default_factory=dict)
 
 
 class Contact(ConfigRecord):

@@ -1,0 +1,118 @@
+"""A quadruped in MuJoCo that stands and hangs: fitted and validated with IMU and contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ground.logs import RATE, Sensors, config_text, record, write_csv
+from ground.robot import JOINTS, mounts, prior_quadruped, true_quadruped, urdf_text
+
+import idtool
+from idtool.common.exceptions import ConfigError, LogError
+from idtool.common.safe_yaml import parse_yaml
+from idtool.robot.model import BASE_COORDINATES
+
+TRUTH = true_quadruped(0)
+FORCES = ("unknown", "measured")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("quadruped")
+    for kind in ("stand", "hang"):
+        write_csv(path / f"{kind}.csv", record(TRUTH, kind, seconds=5.0, seed=0))
+    (path / "true.urdf").write_text(urdf_text(TRUTH))
+    (path / "prior.urdf").write_text(urdf_text(prior_quadruped(TRUTH, 0)))
+    return path
+
+
+def settings(forces: str, **changes: Any) -> dict[str, Any]:
+    """Configuration in which the forces on the feet are ``unknown`` or ``measured``."""
+    content = parse_yaml(Path("quadruped.yaml"), config_text(TRUTH, forces == "measured").encode())
+    return {**dict(content), **changes}
+
+
+def mass_and_center(bodies: Mapping[str, tuple[float, Any]]) -> tuple[float, np.ndarray]:
+    """Mass and centre of mass [kg, m] of links and rotors, all joints at zero."""
+    places = {"trunk": np.zeros(3)}
+    for joint, mount in mounts().items():
+        places[mount.child] = places[mount.parent] + mount.position
+        places[f"{joint}_rotor"] = places[mount.child]
+    mass = sum(own_mass for own_mass, _ in bodies.values())
+    moment = sum(own_mass * (places[name] + np.array(com)) for name, (own_mass, com) in bodies.items())
+    return mass, np.asarray(moment) / mass
+
+
+def true_mass_and_center() -> tuple[float, np.ndarray]:
+    bodies = {name: (body.mass, body.com) for name, body in TRUTH.links.items()}
+    bodies |= {f"{joint}_rotor": (body.mass, body.com) for joint, body in TRUTH.rotors.items()}
+    return mass_and_center(bodies)
+
+
+@pytest.mark.parametrize("forces", FORCES)
+def test_mass_and_centre_of_mass_are_found(folder: Path, forces: str) -> None:
+    """From a prior whose masses are 10 to 30 % off."""
+    model = idtool.Model(folder / "prior.urdf", config=settings(forces))
+    result = idtool.fit(model, [folder / "stand.csv", folder / "hang.csv"], quick=True)
+    mass, center = mass_and_center({name: (body.mass, body.com) for name, body in result.bodies.items()})
+    true_mass, true_center = true_mass_and_center()
+    assert mass == pytest.approx(true_mass, rel=5e-3)
+    assert np.linalg.norm(center - true_center) < 2e-3
+    coulomb = [result.friction[joint].coulomb for joint in JOINTS]
+    np.testing.assert_allclose(coulomb, TRUTH.coulomb, atol=0.03)
+    assert set(result.friction) == set(JOINTS)
+
+    result.save(folder / forces)
+    again = idtool.validate(folder / forces / "identified.urdf", folder / "stand.csv")
+    before = idtool.validate(model, folder / "stand.csv")
+    assert again.rms.model["overall"] < 0.3 * before.rms.model["overall"]
+    assert "floating_base_not_simulated" in [notice.code for notice in again.notices]
+
+
+@pytest.mark.parametrize(("kind", "rows"), [("stand", 18 - 12), ("hang", 18 - 6)])
+def test_true_robot_leaves_the_noise_of_its_sensors(folder: Path, kind: str, rows: int) -> None:
+    """In units of their noise, no more in sum than there are rows less components of unknown forces.
+
+    It is less, since the friction of joints at rest is unknown too.
+    """
+    in_band = np.sqrt(2 * 40 / RATE)
+    noise = dict.fromkeys(JOINTS, Sensors().tau * in_band)
+    noise |= dict.fromkeys(BASE_COORDINATES[:3], Sensors().accelerometer * TRUTH.mass * in_band)
+    noise |= dict.fromkeys(BASE_COORDINATES[3:], 0.02)
+    friction = {}
+    for joint, viscous, coulomb in zip(JOINTS, TRUTH.viscous, TRUTH.coulomb, strict=True):
+        friction[joint] = {"viscous": float(viscous), "coulomb": float(coulomb)}
+    base = {**settings("unknown")["base"], "noise": {name: float(x) for name, x in noise.items()}}
+    model = idtool.Model(folder / "true.urdf", config=settings("unknown", friction=friction, base=base))
+    rms = idtool.validate(model, folder / f"{kind}.csv").rms.model
+    in_noise = sum((rms[name] / noise[name]) ** 2 for name in noise)
+    assert 0.4 * rows < in_noise < 1.2 * rows
+
+
+@pytest.mark.parametrize(
+    ("command", "call"),
+    [
+        ("diagnose", lambda model, log, folder: idtool.diagnose(model, log)),
+        ("simulate", lambda model, log, folder: idtool.simulate(model, log)),
+        ("excite", lambda model, log, folder: idtool.excite(model)),
+        ("study", lambda model, log, folder: idtool.study(model, log)),
+        ("adapt", lambda model, log, folder: idtool.adapt(model, log)),
+    ],
+)
+def test_commands_for_a_fixed_base_say_so(folder: Path, command: str, call: Callable[..., Any]) -> None:
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
+    with pytest.raises(ConfigError, match=f"idtool {command} needs a fixed base"):
+        call(model, folder / "hang.csv", folder)
+
+
+def test_missing_sensor_is_named(folder: Path, tmp_path: Path) -> None:
+    lines = (folder / "hang.csv").read_text().splitlines()
+    path = tmp_path / "renamed.csv"
+    path.write_text("\n".join([lines[0].replace("imu_wx", "gyro_x"), *lines[1:2000]]))
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
+    with pytest.raises(LogError, match="has no channel imu_wx"):
+        idtool.fit(model, path, quick=True)
