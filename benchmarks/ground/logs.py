@@ -184,3 +184,80 @@ def config_text(robot: Quadruped, are_forces_measured: bool) -> str:
         "rotors": rotors,
     }
     return yaml.safe_dump(content, sort_keys=False)
+
+
+def write_mcap(path: Path, recording: Recording) -> None:
+    """Write a recording as ROS 2 messages: joint states, IMU at half their rate, and flags and forces of the feet."""
+    from mcap_ros2.writer import Writer
+
+    columns = recording.columns
+    with path.open("wb") as file:
+        writer = Writer(file)
+        schemas = {name: writer.register_msgdef(name, text) for name, text in MESSAGES.items()}
+        for i, t in enumerate(columns["t"]):
+            stamp = {"sec": 1000 + int(t), "nanosec": round(t % 1 * 1e9)}
+            nanoseconds = stamp["sec"] * 10**9 + stamp["nanosec"]
+            header = {"stamp": stamp, "frame_id": ""}
+            messages: list[tuple[str, str, dict[str, Any]]] = [
+                (
+                    "/joint_states",
+                    "sensor_msgs/msg/JointState",
+                    {
+                        "header": header,
+                        "name": list(JOINTS),
+                        "position": [columns[f"q_{joint}"][i] for joint in JOINTS],
+                        "velocity": [columns[f"v_{joint}"][i] for joint in JOINTS],
+                        "effort": [columns[f"tau_{joint}"][i] for joint in JOINTS],
+                    },
+                )
+            ]
+            if i % 2 == 0:
+                messages.append(
+                    (
+                        "/imu",
+                        "sensor_msgs/msg/Imu",
+                        {
+                            "header": header,
+                            "orientation": {axis: columns[f"imu_q{axis}"][i] for axis in "xyzw"},
+                            "angular_velocity": {axis: columns[f"imu_w{axis}"][i] for axis in "xyz"},
+                            "linear_acceleration": {axis: columns[f"imu_a{axis}"][i] for axis in "xyz"},
+                        },
+                    )
+                )
+            for foot in FEET:
+                force = {axis: columns[f"force_{foot}_{axis}"][i] for axis in "xyz"}
+                flag = {"data": bool(columns[f"contact_{foot}"][i])}
+                wrench = {"header": header, "wrench": {"force": force, "torque": {}}}
+                messages.append((f"/contact/{foot}", "std_msgs/msg/Bool", flag))
+                messages.append((f"/force/{foot}", "geometry_msgs/msg/WrenchStamped", wrench))
+            if i == 0:
+                messages.append(("/contact/rope", "std_msgs/msg/Bool", {"data": bool(columns["contact_rope"][0])}))
+            for topic, name, message in messages:
+                writer.write_message(topic, schemas[name], message, nanoseconds, nanoseconds)
+        writer.finish()
+
+
+_HEADER = "std_msgs/Header header\n"
+_SEPARATOR = "=" * 80 + "\n"
+_HEADER_DEFINITION = (
+    f"{_SEPARATOR}MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    f"{_SEPARATOR}MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+)
+_VECTOR = f"{_SEPARATOR}MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
+MESSAGES = {
+    "sensor_msgs/msg/JointState": (
+        f"{_HEADER}string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n{_HEADER_DEFINITION}"
+    ),
+    "sensor_msgs/msg/Imu": (
+        f"{_HEADER}geometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
+        "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
+        "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
+        f"{_HEADER_DEFINITION}{_SEPARATOR}MSG: geometry_msgs/Quaternion\n"
+        f"float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n{_VECTOR}"
+    ),
+    "geometry_msgs/msg/WrenchStamped": (
+        f"{_HEADER}geometry_msgs/Wrench wrench\n{_HEADER_DEFINITION}"
+        f"{_SEPARATOR}MSG: geometry_msgs/Wrench\ngeometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n{_VECTOR}"
+    ),
+    "std_msgs/msg/Bool": "bool data\n",
+}

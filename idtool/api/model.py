@@ -12,6 +12,7 @@ from typing import Any
 from idtool.api.log import Log
 from idtool.common.exceptions import IdtoolError
 from idtool.common.names import join_names, stem
+from idtool.data.base_sensors import sensor_options
 from idtool.data.logs import read_log
 from idtool.data.robot_source import read_robot_and_logs
 from idtool.dynamics.effects import friction_types
@@ -200,7 +201,13 @@ class Model:
             If it cannot be read.
         """
         options = self._config.log
-        record = read_log(path, topic=options.topic, columns=options.columns, scale=dict(options.scale))
+        record = read_log(
+            path,
+            topic=options.topic,
+            columns=options.columns,
+            scale=dict(options.scale),
+            sensors=sensor_options(self._config),
+        )
         return Log.from_record(record)
 
     def __repr__(self) -> str:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from idtool.common.arrays import Array, Mask
 from idtool.data.filters import DIFFERENCE_REACH, differentiate
 from idtool.data.logs.log import JointLog
+from idtool.data.logs.sensor_channels import SensorOptions
 from idtool.robot.body import Frame
 from idtool.robot.config import Config, Contact
 
@@ -41,6 +42,13 @@ class ContactSamples:
     world_to_base: Array
     is_closed: Mask
     wrenches: Array
+
+
+def sensor_options(config: Config) -> SensorOptions | None:
+    """How to read the sensors of a log; None with a fixed base, which needs none."""
+    if config.base.kind == "fixed":
+        return None
+    return SensorOptions(config.base.imu.topic)
 
 
 def needed_channels(config: Config) -> tuple[str, ...]:

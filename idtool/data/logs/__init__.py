@@ -35,6 +35,7 @@ from idtool.common.outputs import OutputError, check_file
 from idtool.common.provenance import source_from_file
 from idtool.data.logs.bag import ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
 from idtool.data.logs.log import SIGNALS, JointLog, make_log
+from idtool.data.logs.sensor_channels import SensorOptions
 
 __all__ = ["SIGNALS", "JointLog", "check_log_file", "is_bag", "log_suffixes", "make_log", "read_log", "write_log"]
 
@@ -47,7 +48,9 @@ class _Format(Protocol):
 
     def matches(self, head: bytes) -> bool: ...
 
-    def read(self, path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog: ...
+    def read(
+        self, path: Path, topic: str | None, columns: Mapping[str, str], sensors: SensorOptions | None = None
+    ) -> JointLog: ...
 
     def write(self, file: BinaryIO, log: JointLog) -> None: ...
 
@@ -64,6 +67,7 @@ def read_log(
     topic: str | None = None,
     columns: Mapping[str, str] = {},
     scale: Mapping[str, Mapping[str, float]] = {},
+    sensors: SensorOptions | None = None,
 ) -> JointLog:
     """Read a log of any format.
 
@@ -77,6 +81,8 @@ def read_log(
         Canonical name (``t``, ``q_hip``, …) to the name of the column in the file, for CSV.
     scale
         Signal to joint to SI units per logged unit.
+    sensors
+        How to read the topics of IMU, contacts and wrenches; None: they are not read.
 
     Raises
     ------
@@ -85,7 +91,7 @@ def read_log(
     """
     path = Path(path)
     try:
-        log = _read(path, topic, columns)
+        log = _read(path, topic, columns, sensors)
         sources = tuple(source_from_file("log", file) for file in log_files(path))
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
@@ -93,14 +99,14 @@ def read_log(
     return replace(log, sources=sources)
 
 
-def _read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
+def _read(path: Path, topic: str | None, columns: Mapping[str, str], sensors: SensorOptions | None) -> JointLog:
     """The log in its own units; OSError if a file cannot be read."""
     if path.is_dir():
         from idtool.data.logs.mcap import read
 
         if not path.name and is_bag(path):  # the working directory
             path = path.resolve()
-        return read(path, topic, columns)
+        return read(path, topic, columns, sensors)
     if not path.is_file():
         raise LogError(path, "there is no such file")
     with path.open("rb") as file:
@@ -109,7 +115,7 @@ def _read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog
         raise LogError(path, "is empty")
     for log_format in _formats():
         if log_format.matches(head):
-            return log_format.read(path, topic, columns)
+            return log_format.read(path, topic, columns, sensors)
     if head.startswith(SQLITE):
         raise LogError(path, wrong_storage_message(path, "sqlite3"))
     if head.startswith(ROS1):

@@ -19,6 +19,7 @@ from idtool.data.logs.columns import find_columns
 from idtool.data.logs.interleaved import make_log_of_complete_samples
 from idtool.data.logs.log import SIGNALS, Channel, JointLog, truncation_notice
 from idtool.data.logs.sample_buffer import SampleBuffer, Samples
+from idtool.data.logs.sensor_channels import SensorOptions
 from idtool.data.logs.table import CsvTable
 from idtool.data.logs.times import convert_to_seconds
 
@@ -38,8 +39,10 @@ def matches(head: bytes) -> bool:
     return not _CONTROL_CHARACTERS.search(head)
 
 
-def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
+def read(path: Path, topic: str | None, columns: Mapping[str, str], sensors: SensorOptions | None = None) -> JointLog:
     """Read a table with canonical column names, or those in ``columns``; ``topic`` selects one of several topics.
+
+    The channels of sensors are read whatever ``sensors`` says.
 
     Raises
     ------
@@ -90,10 +93,12 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
     log = make_log_of_complete_samples(path, t, joints, arrays, tuple(notices))
     if not sensor_rows:
         return log
-    sensors = np.concatenate(sensor_rows)
-    sensor_times = sensors[:, 0].copy()
+    sensor_values = np.concatenate(sensor_rows)
+    sensor_times = sensor_values[:, 0].copy()
     convert_to_seconds(sensor_times)
-    channels = {name: Channel(sensor_times, x) for name, x in zip(column_map.channels, sensors.T[1:], strict=True)}
+    channels = {}
+    for name, x in zip(column_map.channels, sensor_values.T[1:], strict=True):
+        channels[name] = Channel(sensor_times, x)
     return replace(log, channels=channels)
 
 

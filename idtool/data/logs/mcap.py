@@ -6,6 +6,7 @@ Written logs have the states on one topic and the commands, if any, on another.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,6 +22,8 @@ from idtool.data.logs.log import JointLog, truncation_notice
 from idtool.data.logs.mcap_file import open_mcap
 from idtool.data.logs.payloads.cdr import DEFINITION, TYPE, encode
 from idtool.data.logs.sample_buffer import SampleBuffer
+from idtool.data.logs.sensor_channels import SensorOptions
+from idtool.data.logs.sensor_topics import SensorTopics
 from idtool.data.logs.times import convert_to_seconds
 from idtool.data.logs.topics import COMMANDS_OF, TopicReader
 
@@ -38,13 +41,15 @@ def matches(head: bytes) -> bool:
     return head.startswith((MCAP, ZSTD))
 
 
-def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
+def read(path: Path, topic: str | None, columns: Mapping[str, str], sensors: SensorOptions | None = None) -> JointLog:
     """Read the joint states of ``topic``, or of the only topic that carries any; ``columns`` are for CSV.
 
     Parameters
     ----------
     path
         The file, or the rosbag2 folder, whose files are parts of one log.
+    sensors
+        How to read the topics of sensors; None: they are not read.
 
     Raises
     ------
@@ -52,12 +57,17 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
         If a file is damaged, or there is not exactly one topic to read.
     """
     topics = TopicReader(path, topic)
+    sensor_topics = SensorTopics(path, sensors.imu_topic) if sensors is not None else None
     truncated: dict[int, str] = {}  # names of truncated files by their number
     for i, file in enumerate(log_files(path)):
         topics.begin_file(file)
+        if sensor_topics is not None:
+            sensor_topics.begin_file(file)
         with open_mcap(file) as records:
             for batch in records:
                 topics.read(batch)
+                if sensor_topics is not None:
+                    sensor_topics.read(batch)
         if records.truncated:
             truncated[i] = "the file" if file == path else file.name
     if truncated and not len(topics):
@@ -80,7 +90,8 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str]) -> JointLog:
         message = f"log.columns is only for CSV and was ignored: {join_names(columns)}"
         notices.append(Notice("columns_ignored", "note", None, message))
     notices += convert_to_seconds(t)
-    return make_log_of_complete_samples(path, t, joints, signals, tuple(notices))
+    log = make_log_of_complete_samples(path, t, joints, signals, tuple(notices))
+    return log if sensor_topics is None else replace(log, channels=sensor_topics.channels())
 
 
 def _command_signals(commands: SampleBuffer, t: Array, joints: tuple[str, ...]) -> dict[str, Array]:

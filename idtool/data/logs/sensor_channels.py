@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,13 @@ SENSOR_CHANNEL = re.compile(r"imu_(q[wxyz]|[wa][xyz])|contact_.+|force_.+_m?[xyz
 
 _QUATERNIONS = (("imu_qw", "imu_qx", "imu_qy", "imu_qz"), ("base_qw", "base_qx", "base_qy", "base_qz"))
 _MAX_STEPS = 10.0  # between samples of a channel, in its own median steps and in the joints', beyond which it has a gap
+
+
+@dataclass(frozen=True)
+class SensorOptions:
+    """How to read the topics of sensors: that of the IMU, or None for the only one."""
+
+    imu_topic: str | None = None
 
 
 def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
@@ -43,13 +50,14 @@ def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
         if name not in log.channels:
             raise LogError(log.path, f"has no channel {printable(name)}; {suggestion(name, list(log.channels))}")
         channels[name] = _finite(log.channels[name])
-        if len(channels[name].t) < 2:
+        if len(channels[name].t) < (1 if _is_flag(name) else 2):
             raise LogError(log.path, f"channel {printable(name)} has no values")
     for quaternion in _QUATERNIONS:
         channels |= _without_sign_changes({name: channels[name] for name in quaternion if name in channels})
     is_missing = np.zeros(len(log), dtype=bool)
-    for channel in channels.values():
-        is_missing |= _is_in_gap(channel, log)
+    for name, channel in channels.items():
+        if not _is_flag(name):
+            is_missing |= _is_in_gap(channel, log)
     segments = tuple(_complete_segments(log.segments, is_missing))
     if not segments:
         what = f"no two samples in a row have joints and sensors; compare the times of {join_names(list(channels))}"
@@ -60,6 +68,11 @@ def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
         message = f"{count_text(lost, 'sample')} without a value of every sensor; left out"
         notices += (Notice("sensors_missing", "note", None, message),)
     return replace(log, channels=channels, segments=segments, notices=notices)
+
+
+def _is_flag(name: str) -> bool:
+    """True for a contact flag, which may be logged only when it changes."""
+    return name.startswith("contact_")
 
 
 def _finite(channel: Channel) -> Channel:

@@ -13,7 +13,7 @@ from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.data.base_sensors import BaseSensors, needed_channels
+from idtool.data.base_sensors import BaseSensors, needed_channels, sensor_options
 from idtool.data.controller import without_constant_torque
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.sensor_channels import with_sensors
@@ -361,7 +361,8 @@ def _torques(log: JointLog, joints: Sequence[str]) -> Array:
 def _read(log: Path | JointLog, config: Config) -> JointLog:
     if not isinstance(log, JointLog):
         options = config.log
-        log = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
+        sensors = sensor_options(config)
+        log = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale), sensors=sensors)
     if config.base.kind == "floating":
         log = with_sensors(log, needed_channels(config))
     return without_constant_torque(log, config.controller)

@@ -12,9 +12,14 @@ _MAX_WIDENING = 10.0  # s
 
 
 class Imu(ConfigRecord):
-    """The inertial measurement unit: its link, by default the base's, and how late it is against the joints [s]."""
+    """The inertial measurement unit.
+
+    ``link`` is by default the base's; ``topic`` is needed if an MCAP log has several; ``delay`` is how late it is
+    against the joints [s].
+    """
 
     link: str | None = None
+    topic: str | None = None
     delay: Finite = 0.0
 
 

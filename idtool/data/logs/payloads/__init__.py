@@ -1,7 +1,8 @@
 """Decoders of message payloads. A new encoding is one new file in this folder.
 
 A member defines `ENCODING`, the message encoding that it reads; `decoder`, which returns the decoder of a channel's
-messages if its schema is that of joint states; and `text`, the same for messages that are a single text.
+messages if its schema is that of joint states; `text`, the same for messages that are a single text; and `sensor`, the
+same for those of `sensor_types`.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ class _Encoding(Protocol):
 
     def text(self, schema: Schema) -> TextDecoder | None: ...
 
+    def sensor(self, schema: Schema) -> Decoder | None: ...
+
 
 def decoder_for(encoding: str, schema: Schema) -> Decoder | None:
     """The decoder of a channel's messages; None unless they are joint states in a supported encoding."""
@@ -35,6 +38,12 @@ def text_decoder_for(encoding: str, schema: Schema) -> TextDecoder | None:
     """The decoder of a channel's messages; None unless they are `std_msgs/msg/String` in a supported encoding."""
     member = _encodings().get(encoding)
     return member.text(schema) if member else None
+
+
+def sensor_decoder_for(encoding: str, schema: Schema) -> Decoder | None:
+    """The decoder of a channel's messages; None unless they are of `sensor_types` in a supported encoding."""
+    member = _encodings().get(encoding)
+    return member.sensor(schema) if member else None
 
 
 @cache

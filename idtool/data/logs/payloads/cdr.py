@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from idtool.common.arrays import Array, Indices
 from idtool.data.logs.payloads.base import SIGNALS, Decoder, TextDecoder, check_counts, check_names
 from idtool.data.logs.payloads.layout import Bytes, Layout, decode_by_layout
+from idtool.data.logs.payloads.sensor_types import SENSOR_TYPES, SensorType
 from idtool.data.logs.sample_buffer import Samples
 
 if TYPE_CHECKING:
@@ -55,6 +56,41 @@ def decoder(schema: Schema) -> Decoder | None:
 def text(schema: Schema) -> TextDecoder | None:
     """Decoder of String messages, in whatever language their schema is written."""
     return _text if schema.name.replace("/msg/", "/") == "std_msgs/String" else None
+
+
+def sensor(schema: Schema) -> Decoder | None:
+    """Decoder of messages of `sensor_types`, whose numbers are the signal ``sensor``."""
+    sensor_type = SENSOR_TYPES.get(schema.name.replace("/msg/", "/"))
+    if sensor_type is None:
+        return None
+    layout = partial(_sensor_layout, sensor_type=sensor_type)
+
+    def decode(buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
+        samples, _ = decode_by_layout(buffer, starts, lengths, layout)
+        return samples
+
+    return decode
+
+
+def _sensor_layout(message: bytes, sensor_type: SensorType) -> Layout:
+    """The layout of a sensor's message; ValueError if it is incomplete."""
+    cursor = _Cursor(message)
+    stamp = None
+    if sensor_type.has_header:
+        stamp = cursor.skip(8, 4)
+        cursor.skip(cursor.count())  # the name of the frame may differ between messages
+    for _ in range(sensor_type.names):
+        cursor.skip(cursor.count())
+    dtype = sensor_type.number_type(cursor.order)
+    count = len(sensor_type.numbers)
+    offset = cursor.skip(count * dtype.itemsize, dtype.itemsize)
+    seconds = _no_stamp if stamp is None else partial(_seconds, offset=stamp, order=cursor.order)
+    numbers = tuple(str(i) for i in range(count))
+    return Layout(numbers, cursor.mask, {"sensor": (offset, dtype)}, seconds)
+
+
+def _no_stamp(messages: Bytes) -> Array:
+    return np.zeros(len(messages))
 
 
 def _text(message: bytes) -> bytes:

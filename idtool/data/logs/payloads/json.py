@@ -44,6 +44,11 @@ def text(schema: Schema) -> TextDecoder | None:
     return _text if "data" in properties or (not properties and schema.name.endswith("String")) else None
 
 
+def sensor(schema: Schema) -> Decoder | None:
+    """Sensors are read in CDR only."""
+    return None
+
+
 def _properties(schema: Schema) -> Any:
     """The schema's fields; empty if it names none."""
     try:

@@ -77,6 +77,11 @@ def text(schema: Schema) -> TextDecoder | None:
     return decode
 
 
+def sensor(schema: Schema) -> Decoder | None:
+    """Sensors are read in CDR only."""
+    return None
+
+
 def _descriptor(schema: Schema) -> Descriptor | None:
     """The message type in a FileDescriptorSet; None if it is not there."""
     from google.protobuf.descriptor_database import DescriptorDatabase, Error
