@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -186,7 +186,7 @@ def config_text(robot: Quadruped, are_forces_measured: bool) -> str:
     return yaml.safe_dump(content, sort_keys=False)
 
 
-def write_mcap(path: Path, recording: Recording) -> None:
+def write_mcap(path: Path, recording: Recording, imu_topics: Sequence[str] = ("/imu",)) -> None:
     """Write a recording as ROS 2 messages: joint states, IMU at half their rate, and flags and forces of the feet."""
     from mcap_ros2.writer import Writer
 
@@ -212,18 +212,13 @@ def write_mcap(path: Path, recording: Recording) -> None:
                 )
             ]
             if i % 2 == 0:
-                messages.append(
-                    (
-                        "/imu",
-                        "sensor_msgs/msg/Imu",
-                        {
-                            "header": header,
-                            "orientation": {axis: columns[f"imu_q{axis}"][i] for axis in "xyzw"},
-                            "angular_velocity": {axis: columns[f"imu_w{axis}"][i] for axis in "xyz"},
-                            "linear_acceleration": {axis: columns[f"imu_a{axis}"][i] for axis in "xyz"},
-                        },
-                    )
-                )
+                imu = {
+                    "header": header,
+                    "orientation": {axis: columns[f"imu_q{axis}"][i] for axis in "xyzw"},
+                    "angular_velocity": {axis: columns[f"imu_w{axis}"][i] for axis in "xyz"},
+                    "linear_acceleration": {axis: columns[f"imu_a{axis}"][i] for axis in "xyz"},
+                }
+                messages += [(topic, "sensor_msgs/msg/Imu", imu) for topic in imu_topics]
             for foot in FEET:
                 force = {axis: columns[f"force_{foot}_{axis}"][i] for axis in "xyz"}
                 flag = {"data": bool(columns[f"contact_{foot}"][i])}

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from ground.logs import Recording, record, write_mcap
+from ground.robot import true_quadruped
+from mcap.records import Schema
 
 from idtool.common.exceptions import LogError
 from idtool.data.base_sensors import BaseSensors, needed_channels
 from idtool.data.filters import DIFFERENCE_REACH
 from idtool.data.logs import JointLog, make_log, read_log
 from idtool.data.logs.log import Channel
-from idtool.data.logs.sensor_channels import with_sensors
+from idtool.data.logs.payloads import sensor_decoder_for
+from idtool.data.logs.payloads.base import PayloadError
+from idtool.data.logs.payloads.sensor_types import SENSOR_TYPES
+from idtool.data.logs.sensor_channels import SensorOptions, with_sensors
 from idtool.robot.body import Frame
 from idtool.robot.config import Config, parse_config
 
@@ -140,3 +147,65 @@ def test_flag_is_widened_at_both_ends() -> None:
     first, last = at[is_closed[0]][[0, -1]]
     assert (first, last) == pytest.approx((0.4, 1.1), abs=2e-3)
     assert is_closed[1].all()  # without a flag, always
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return record(true_quadruped(0), "hang", seconds=0.3, seed=0)
+
+
+def test_topics_become_the_channels_of_the_table(recording: Recording, tmp_path: Path) -> None:
+    """Messages by mcap_ros2; the IMU at half the rate of the joints, and one message of the rope's flag."""
+    write_mcap(tmp_path / "log.mcap", recording)
+    log = read_log(tmp_path / "log.mcap", sensors=SensorOptions())
+    columns = recording.columns
+    for axis in ("wx", "ay", "qz"):
+        channel = log.channels[f"imu_{axis}"]
+        np.testing.assert_allclose(channel.t, 1000 + columns["t"][::2], atol=1e-6)
+        np.testing.assert_array_equal(channel.x, columns[f"imu_{axis}"][::2])
+    np.testing.assert_array_equal(log.channels["force_RL_foot_z"].x, columns["force_RL_foot_z"])
+    assert log.channels["contact_rope"].x.tolist() == [1.0]
+    names = ["imu_wx", "force_FL_foot_y", "contact_rope", "contact_FR_foot"]
+    assert sum(part.stop - part.start for part in with_sensors(log, names).segments) == len(log)
+    assert not read_log(tmp_path / "log.mcap").channels  # which a fixed base does not need
+
+
+@pytest.mark.parametrize(
+    ("imu", "message"),
+    [
+        (None, "2 topics carry an IMU; set base.imu.topic to one of /imu, /torso/imu"),
+        ("/gyro", "no IMU on topic /gyro"),
+    ],
+)
+def test_imu_is_chosen_by_its_topic(recording: Recording, tmp_path: Path, imu: str | None, message: str) -> None:
+    path = tmp_path / "log.mcap"
+    write_mcap(path, recording, imu_topics=("/imu", "/torso/imu"))
+    with pytest.raises(LogError, match=message):
+        read_log(path, sensors=SensorOptions(imu))
+    assert "imu_wx" in read_log(path, sensors=SensorOptions("/torso/imu")).channels
+
+
+def test_message_that_is_cut_off_is_refused(tmp_path: Path) -> None:
+    schema = Schema(id=1, name="sensor_msgs/msg/Imu", encoding="ros2msg", data=b"")
+    decode = sensor_decoder_for("cdr", schema)
+    assert decode is not None
+    message = bytes([0, 1, 0, 0]) + bytes(100)
+    with pytest.raises(PayloadError, match="is incomplete"):
+        decode(message, np.array([0]), np.array([len(message)]))
+    assert sensor_decoder_for("json", schema) is None
+    assert sensor_decoder_for("cdr", Schema(id=1, name="tf2_msgs/msg/TFMessage", encoding="ros2msg", data=b"")) is None
+
+
+def test_odometry_is_the_pose_of_the_base() -> None:
+    schema = Schema(id=1, name="nav_msgs/msg/Odometry", encoding="ros2msg", data=b"")
+    decode = sensor_decoder_for("cdr", schema)
+    assert decode is not None
+    numbers = np.arange(85.0)
+    head = struct.pack("<4xiII5sxxxI4s", 7, 500_000_000, 5, b"odom\0", 4, b"imu\0")
+    padded = head + bytes(-(len(head) - 4) % 8)
+    message = bytes([0, 1, 0, 0]) + padded[4:] + numbers.tobytes()
+    (samples,) = decode(message, np.array([0]), np.array([len(message)]))
+    assert samples.t.tolist() == [7.5]
+    channels = SENSOR_TYPES["nav_msgs/Odometry"].channels("odom")
+    values = dict(zip(channels, samples.signals["sensor"][0], strict=True))
+    assert [values[f"base_{name}"] for name in ("x", "y", "z", "qx", "qw")] == [0, 1, 2, 3, 6]
