@@ -193,8 +193,9 @@ def fit_experiment(
     solved = run_fit(experiment, progress, simulate, analyze_uncertainty, method)
     maps = None
     if analyze_uncertainty:
-        faults = [fault for fault in find_data_faults(experiment, progress) if fault.code in _UNCORRECTABLE_FAULTS]
-        solved = replace(solved, notices=(*faults, *solved.notices))
+        if not experiment.model.has_floating_base:  # those of a floating base would be sought with a fixed one
+            faults = [fault for fault in find_data_faults(experiment, progress) if fault.code in _UNCORRECTABLE_FAULTS]
+            solved = replace(solved, notices=(*faults, *solved.notices))
         prior_maps = residual_maps(solved.experiment, experiment.equation.prior, progress)
         identified_maps = residual_maps(solved.experiment, solved.estimate.theta, progress)
         maps = (prior_maps, identified_maps)

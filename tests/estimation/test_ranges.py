@@ -341,4 +341,5 @@ def test_ranges_come_in_the_order_asked_and_tell_how_far_they_are(robot_of: Robo
     wanted = [PI_SIZE + 2, 3, 0]
     found = ranges(problem, x, np.array(wanted), told.append)
     np.testing.assert_allclose(found, asked(problem, x, sorted(wanted))[::-1], rtol=1e-6)
-    np.testing.assert_allclose(told, [1 / 3, 2 / 3, 1.0])
+    assert told == sorted(told)  # a copy of the process tells nothing of its share
+    assert (told[0], told[-1]) == pytest.approx((1 / 3, 1.0))

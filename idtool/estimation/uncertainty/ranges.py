@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -17,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import SolverError
+from idtool.common.processes import Progress, shared_among_processes
 from idtool.estimation.problem.conic import extreme_conic
 from idtool.estimation.problem.problem import Problem
 from idtool.estimation.problem.variables import PieceVariables
@@ -47,9 +49,8 @@ def ranges(problem: Problem, x: Array, wanted: Indices, progress: Callable[[floa
     The least and the greatest value, SI, shape (k, 2); infinite where there is none, NaN where the solver gave up.
     """
     level = problem.cost(problem.S @ x) * (1 + ABOVE)
-    limits = np.full((len(wanted), 2), np.nan)
     place = {int(k): i for i, k in enumerate(wanted)}
-    done = 0
+    searches: list[_Search] = []
     for component in _components(problem):
         in_component = [int(k) for k in component if int(k) in place]
         if not in_component:
@@ -57,12 +58,42 @@ def ranges(problem: Problem, x: Array, wanted: Indices, progress: Callable[[floa
         restricted, start = _restricted(problem, x, component)
         for k in in_component:
             row = np.where(component == k, 1.0, 0.0)
-            lowest = _least(restricted, start, row, level)
-            highest = -_least(restricted, start, -row, level)
-            limits[place[k]] = problem.scale[k] * lowest, problem.scale[k] * highest
-            done += 1
-            progress(done / len(wanted))
+            searches.append(_Search(len(searches), k, restricted, start, row))
+
+    def limits_of(search: _Search, tell: Progress) -> tuple[float, float]:
+        lowest = _least(search.problem, search.start, search.row, level)
+        highest = -_least(search.problem, search.start, -search.row, level)
+        tell("", (search.number + 1) / len(searches))
+        return lowest, highest
+
+    found = shared_among_processes(limits_of, searches, lambda stage, share: progress(share))
+    limits = np.full((len(wanted), 2), np.nan)
+    for search, ends in zip(searches, found, strict=True):
+        limits[place[search.coefficient]] = problem.scale[search.coefficient] * np.array(ends)
+    progress(1.0)
     return limits
+
+
+class _Search(NamedTuple):
+    """Search for the range of one coefficient z.
+
+    Attributes
+    ----------
+    number
+        Its number among the searches.
+    coefficient
+        Index of the coefficient in z.
+    problem, start
+        The problem in the coefficients that are coupled with it, and its optimum.
+    row
+        What picks the coefficient from those of the problem.
+    """
+
+    number: int
+    coefficient: int
+    problem: Problem
+    start: Array
+    row: Array
 
 
 def free_spread(problem: Problem, x: Array) -> Array:
