@@ -33,6 +33,7 @@ from idtool.reporting.results.fit import (
     SolverReport,
     TorqueErrors,
     UnionPart,
+    WholeRobotReport,
 )
 from idtool.reporting.results.rollouts import Simulation
 from idtool.reporting.results.validation import ModelErrors, ValidationReport
@@ -52,12 +53,14 @@ from idtool.robot.config import Config, EffectEntry
 from idtool.robot.inertia import (
     PI_SIZE,
     mass_com_inertia,
+    parameter_transform,
     pseudo_inertia,
     round_to_digits,
     rounded_inertial,
     smallest_eigenvalue,
     symmetric_entries,
 )
+from idtool.robot.kinematics import body_placements
 from idtool.robot.urdf.writing import JointDynamics
 from idtool.robot.witness import deviation_ellipsoid
 
@@ -80,6 +83,7 @@ def fit_report(fit: Fit) -> FitReport:
         simulation=simulation_report(fit.simulation, "identified", experiment),
         noise=dict(zip(joints, fit.estimate.noise.tolist(), strict=True)),
         bodies={body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
+        whole_robot=whole_robot_report(fit),
         friction={joint: friction_report(fit, joint) for joint in experiment.model.joint_names},
         friction_intervals={joint: friction_intervals(fit, joint) for joint in experiment.model.joint_names},
         effects=[effect_report(fit, entry) for entry in experiment.config.effects],
@@ -153,6 +157,32 @@ def nrms(evaluation: Evaluation, model: str, joints: tuple[str, ...]) -> dict[st
     """Root mean square in the band over the measured torque's standard deviation, by joint."""
     rms = evaluation.errors[model].rms(joints)
     return {name: rms[name] / spread if spread else None for name, spread in evaluation.torque_std.items()}
+
+
+def whole_robot_report(fit: Fit) -> WholeRobotReport | None:
+    """Mass and centre of mass of a robot with a floating base; None if the base is fixed."""
+    model = fit.experiment.model
+    if not model.has_floating_base:
+        return None
+    p = len(fit.experiment.equation.coefficients)
+    to_root = np.zeros((4, p))  # mass and first moments about the root link's origin
+    placements = body_placements(model, np.zeros((len(model.joints), 1)))
+    for i in range(len(model.bodies)):
+        R, position = placements[i]
+        to_root[:, PI_SIZE * i : PI_SIZE * (i + 1)] = parameter_transform(R[0], position[0])[:4]
+    mass, *moment = to_root @ fit.estimate.theta
+    prior_mass, *prior_moment = to_root @ fit.experiment.equation.prior
+    com = np.array(moment) / mass
+    com_change = (to_root[1:] - np.outer(com, to_root[0])) / mass  # by each coefficient, to first order
+    errors = [_finite_or_none(error) for error in fit.uncertainty.of(np.vstack([to_root[:1], com_change])).tolist()]
+    return WholeRobotReport(
+        mass=mass,
+        mass_standard_error=errors[0],
+        prior_mass=prior_mass,
+        com=com,
+        com_standard_error=tuple(errors[1:]),
+        prior_com=np.array(prior_moment) / prior_mass,
+    )
 
 
 def body_report(fit: Fit, index: int, body: Body) -> BodyReport:

@@ -15,6 +15,7 @@ from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.data.base_sensors import BaseSensors, needed_channels, sensor_options
 from idtool.data.controller import without_constant_torque
+from idtool.data.imu_findings import imu_findings
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.sensor_channels import with_sensors
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
@@ -335,7 +336,10 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
     if model.has_floating_base:
         imu_frame = model.frames[config.base.imu.link or model.robot.root]
         sensors = BaseSensors(log, config, imu_frame)
-    return Signals(log, model.joint_names, config, sensors)
+    signals = Signals(log, model.joint_names, config, sensors)
+    if sensors is not None:
+        signals.notices += imu_findings(log)
+    return signals
 
 
 def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> ContactForces | None:

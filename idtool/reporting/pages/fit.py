@@ -30,10 +30,12 @@ from idtool.reporting.sections.fit import (
     FrictionSection,
     PriorWeightsSection,
     TorqueErrorsSection,
+    WholeRobotSection,
 )
 
 _PRIOR = PriorWeightsSection()
 _EFFECTS = EffectsSection()
+_WHOLE_ROBOT = WholeRobotSection()
 _RESIDUALS = ("Residual by state, time and frequency", "residuals.html")
 _MODEL_NAMES = ("prior", "identified")
 _MODELS_TEXT = "the original URDF and of the identified model"
@@ -45,6 +47,7 @@ _SECTIONS = (
     SIMULATION,
     FrictionSection(),
     _EFFECTS,
+    _WHOLE_ROBOT,
     BodiesSection(),
     _PRIOR,
     SOURCES,
@@ -89,6 +92,7 @@ def fit_page(
         worse = [name for name in report.joints if rms[name] >= prior_rms[name]]
     automatic = report.regularization.automatic
     shown_if = {_RESIDUALS: bool(residual_maps), _EFFECTS: bool(report.effects), _PRIOR: automatic is not None}
+    shown_if[_WHOLE_ROBOT] = report.whole_robot is not None
     sections: Sections = [section for section in _SECTIONS if shown_if.get(section, True)]
     sections = with_simulation(sections, report.simulation)
     sections = with_uncertainty(sections, report)

@@ -329,6 +329,19 @@ class KnownValue(Record):
     identified: float = field("Identified value.")
 
 
+class WholeRobotReport(Record):
+    """Mass and centre of mass of a robot with a floating base, all joints at position 0."""
+
+    mass: float = field("Mass of all bodies [kg].")
+    mass_standard_error: float | None = field("Its standard error [kg]; null if the data do not determine it.")
+    prior_mass: float = field("That of the prior [kg].")
+    com: Vector = field("Centre of mass in the root link's frame [m].")
+    com_standard_error: tuple[float | None, float | None, float | None] = field(
+        "Standard errors of its coordinates [m]; null if the data do not determine one."
+    )
+    prior_com: Vector = field("That of the prior [m].")
+
+
 class SolverReport(Record):
     """Solution of the optimization problem."""
 
@@ -360,6 +373,7 @@ class FitReport(ReproducibleResult):
     simulation: Simulation | None = field("Forward simulation; null if it was skipped.")
     noise: ByJoint = field("Torque noise used to weight the joint's equation [N·m or N].")
     bodies: Annotated[ReadOnly[BodyReport], Keys("body")] = field("Identified links and rotors.")
+    whole_robot: WholeRobotReport | None = field("Mass and centre of mass of the whole robot; null with a fixed base.")
     friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Identified friction.")
     friction_intervals: Annotated[ReadOnly[FrictionIntervals], Keys("joint")] = field("95 % intervals of friction.")
     effects: tuple[EffectReport, ...] = field("Effects besides rigid bodies and friction.")

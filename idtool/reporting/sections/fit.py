@@ -96,6 +96,35 @@ class KnownValuesSection(Section[FitReport | DiagnosisReport]):
         return Table(self.title, columns, rows)
 
 
+class WholeRobotSection(Section[FitReport]):
+    """Mass and centre of mass of the whole robot, which a floating base makes visible."""
+
+    title = "Whole robot"
+
+    @override
+    def table(self, report: FitReport) -> Table | None:
+        robot = report.whole_robot
+        if robot is None:
+            return None
+        columns = [
+            Column("quantity", kind="words"),
+            Column("unit", kind="name"),
+            Column("prior"),
+            Column("identified"),
+            error_column(),
+        ]
+        mass = Cell("mass"), Cell("kg"), number_cell(robot.prior_mass)
+        rows = [[*mass, *error_cells(robot.mass, robot.mass_standard_error)]]
+        for axis, prior, value, error in zip("xyz", robot.prior_com, robot.com, robot.com_standard_error, strict=True):
+            center = Cell(f"centre of mass, {axis}"), Cell("m"), number_cell(float(prior))
+            rows.append([*center, *error_cells(float(value), error)])
+        return Table(self.title, columns, rows)
+
+    @override
+    def text(self, report: FitReport) -> str:
+        return "All bodies together, in the frame of the root link, all joints at position 0."
+
+
 class BodiesSection(Section[FitReport | DiagnosisReport]):
     """Masses, centres of mass, and the number of a body's ten parameters by source."""
 

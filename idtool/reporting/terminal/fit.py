@@ -6,7 +6,13 @@ from pathlib import Path
 
 from idtool.estimation.problem.certificate import GAP, ROUNDING
 from idtool.reporting.results.fit import FitReport, SolverReport
-from idtool.reporting.sections.fit import BodiesSection, EffectsSection, FrictionSection, TorqueErrorsSection
+from idtool.reporting.sections.fit import (
+    BodiesSection,
+    EffectsSection,
+    FrictionSection,
+    TorqueErrorsSection,
+    WholeRobotSection,
+)
 from idtool.reporting.sections.uncertainty import RepeatabilitySection
 from idtool.reporting.terminal.base import Terminal
 from idtool.reporting.terminal.simulation import show_simulation
@@ -16,7 +22,7 @@ def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
     """The result of a fit: errors, bodies, friction, certificate, and where the files are."""
     terminal.sections([TorqueErrorsSection()], report)
     show_simulation(terminal, report.simulation)
-    terminal.sections([BodiesSection(), FrictionSection(), EffectsSection()], report)
+    terminal.sections([BodiesSection(), WholeRobotSection(), FrictionSection(), EffectsSection()], report)
     if report.controller and report.controller.text:
         terminal.say(f"controller delay: {report.controller.text}")
     if base := report.base_parameters:
