@@ -20,6 +20,7 @@ from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs import SIGNALS, JointLog, make_log, write_log
 from idtool.data.logs import read_log as read_record
+from idtool.data.logs.sensor_channels import SensorOptions
 
 
 class Log:
@@ -39,6 +40,11 @@ class Log:
         For CSV: name of the column in the file for each canonical name (``t``, ``q_hip``, …).
     scale
         SI units per logged unit, by signal and joint, e.g. ``{"tau": {"hip": 0.118}}`` for a logged current.
+    sensors
+        True to read the topics of an MCAP file with IMU, contact flags and wrenches too, for a robot with a floating
+        base. A CSV file has them as columns, which are always read.
+    imu_topic
+        The topic with the IMU, if the file has several.
 
     Raises
     ------
@@ -61,8 +67,11 @@ class Log:
         topic: str | None = None,
         columns: Mapping[str, str] | None = None,
         scale: Mapping[str, Mapping[str, float]] | None = None,
+        sensors: bool = False,
+        imu_topic: str | None = None,
     ) -> None:
-        record = read_record(path, topic=topic, columns=columns or {}, scale=scale or {})
+        options = SensorOptions(imu_topic) if sensors else None
+        record = read_record(path, topic=topic, columns=columns or {}, scale=scale or {}, sensors=options)
         self._set_record(record, as_logged=not (columns or scale))
 
     @classmethod

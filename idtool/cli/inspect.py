@@ -15,7 +15,7 @@ from idtool.cli.options import LOG_FORMATS, JsonOption, QuietOption, finish
 def inspect_command(
     log: Annotated[Path, typer.Argument(metavar="LOG", help=f"A log ({LOG_FORMATS}).", show_default=False)],
     config: Annotated[
-        Path | None, typer.Option("--config", help="Configuration; only its log section is used.")
+        Path | None, typer.Option("--config", help="Configuration; only its log and base sections are used.")
     ] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
@@ -28,10 +28,18 @@ def inspect_command(
     from idtool.robot.config import Config, read_config
 
     terminal = Terminal(quiet, as_json)
-    options = (read_config(config) if config else Config()).log
+    settings = read_config(config) if config else Config()
+    options = settings.log
     with terminal.progress() as progress:
         progress("reading", 0.0)
-        record = Log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale))
+        record = Log(
+            log,
+            topic=options.topic,
+            columns=options.columns,
+            scale=dict(options.scale),
+            sensors=settings.base.kind == "floating",
+            imu_topic=settings.base.imu.topic,
+        )
         progress("inspecting", 0.0)
         result = inspect(record)
     show_inspection(terminal, result)

@@ -9,7 +9,7 @@ import pytest
 from ground.logs import Recording, record
 from ground.robot import JOINTS, true_quadruped
 
-from idtool.data.imu_findings import imu_findings
+from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.logs import JointLog, make_log
 from idtool.data.logs.log import Channel
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from idtool.data.inspection.clock import clock_deviation, fresh_rows, gaps, jitter, sample_steps, sampling, step_jitter
 from idtool.data.inspection.findings import all_findings
+from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.inspection.joint import inspect_joint
 from idtool.data.inspection.jumps import position_jumps
 from idtool.data.inspection.records import (
@@ -93,7 +94,7 @@ def _inspect(log: JointLog) -> Inspection:
     duration = float(t[-1] - t[0])
     steps = sum(s.stop - s.start - 1 for s in log.segments)
     seconds = sum(float(log.t[s.stop - 1] - log.t[s.start]) for s in log.segments)
-    findings = all_findings(log, duration, stamps, joints)
+    findings = (*all_findings(log, duration, stamps, joints), *imu_findings(log))
     return Inspection(
         path=str(log.path),
         duration=duration,

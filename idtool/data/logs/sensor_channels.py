@@ -49,7 +49,7 @@ def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
     for name in dict.fromkeys(names):
         if name not in log.channels:
             raise LogError(log.path, f"has no channel {printable(name)}; {suggestion(name, list(log.channels))}")
-        channels[name] = _finite(log.channels[name])
+        channels[name] = finite_samples(log.channels[name])
         if len(channels[name].t) < (1 if _is_flag(name) else 2):
             raise LogError(log.path, f"channel {printable(name)} has no values")
     for quaternion in _QUATERNIONS:
@@ -75,7 +75,7 @@ def _is_flag(name: str) -> bool:
     return name.startswith("contact_")
 
 
-def _finite(channel: Channel) -> Channel:
+def finite_samples(channel: Channel) -> Channel:
     """The channel's finite samples in the order of time."""
     is_finite = np.isfinite(channel.t) & np.isfinite(channel.x)
     t = channel.t[is_finite]

@@ -15,7 +15,7 @@ from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.data.base_sensors import BaseSensors, needed_channels, sensor_options
 from idtool.data.controller import without_constant_torque
-from idtool.data.imu_findings import imu_findings
+from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.sensor_channels import with_sensors
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
@@ -423,8 +423,9 @@ def coefficients_of(robot: Robot, config: Config, experiment: Experiment) -> Arr
     ModelError
         If it is not a URDF of the same robot.
     """
-    joints = experiment.equation.joints
-    config = config.model_copy(update={"joints": joints})
+    joints = experiment.model.joint_names
+    base = experiment.config.base
+    config = config.model_copy(update={"joints": joints, "base": base, "contacts": experiment.config.contacts})
     model = build_model(robot, config, joints)
     coefficients = LinearModel(model.names, build_effects(model, config)).coefficients
     values = {c.key: c.prior for c in coefficients}

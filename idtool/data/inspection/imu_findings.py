@@ -16,6 +16,7 @@ from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import ACCELEROMETER, GYROSCOPE, ORIENTATION
 from idtool.data.logs.log import JointLog
+from idtool.data.logs.sensor_channels import finite_samples
 
 _GRAVITY = 9.81  # m/s²
 _MAX_SAMPLES = 1 << 16
@@ -28,10 +29,17 @@ _MAX_UNIT_ERROR = 1.5  # ratio of an angular velocity to that of the orientation
 
 
 def imu_findings(log: JointLog) -> Iterator[Notice]:
-    """Notices about the IMU of a log, which has its channels; those of the orientation only if it has that too."""
+    """Notices about the IMU of a log; none without accelerometer and gyroscope."""
+    channels = {}
+    for name in (*ACCELEROMETER, *GYROSCOPE, *ORIENTATION):
+        if name in log.channels:
+            channels[name] = finite_samples(log.channels[name])
+    is_complete = all(name in channels and len(channels[name].t) for name in (*ACCELEROMETER, *GYROSCOPE))
+    if not is_complete:
+        return
     t = log.t[log.segments[0]][:_MAX_SAMPLES]
-    acceleration = np.stack([log.channels[name].at(t) for name in ACCELEROMETER])
-    rates = np.stack([log.channels[name].at(t) for name in GYROSCOPE])
+    acceleration = np.stack([channels[name].at(t) for name in ACCELEROMETER])
+    rates = np.stack([channels[name].at(t) for name in GYROSCOPE])
     samples = max(round(_AVERAGE / log.dt), 1)
     mean = uniform_filter1d(acceleration, samples, axis=1)
     size = float(np.median(np.linalg.norm(mean, axis=0)))
@@ -47,9 +55,9 @@ def imu_findings(log: JointLog) -> Iterator[Notice]:
     if abs(size - _GRAVITY) > _TOLERANCE * _GRAVITY:
         message = f"the acceleration is {size:.3g} m/s² on average instead of 9.81"
         yield Notice("imu_scale", "warning", "imu", message, "check the unit and the calibration of the accelerometer")
-    if not all(name in log.channels for name in ORIENTATION):
+    if not all(name in channels and len(channels[name].t) for name in ORIENTATION):
         return
-    quaternions = np.stack([log.channels[name].at(t) for name in ORIENTATION])
+    quaternions = np.stack([channels[name].at(t) for name in ORIENTATION])
     if not (np.linalg.norm(quaternions, axis=0) > 0).all():
         message = "its orientation is zero at some samples"
         yield Notice("imu_orientation", "problem", "imu", message, "log the orientation of the IMU, from link to world")

@@ -1,0 +1,62 @@
+"""Write a quadruped on the ground, its configuration and its logs: ``python benchmarks/ground --out FOLDER``.
+
+The folder gets the URDF and the configuration that a user would have, logs of standing, trotting and hanging, a second
+log of each for validation, and the true robot. The bodies of the URDF are 10 to 30 % off.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from ground.logs import config_text, record, write_csv, write_mcap
+from ground.robot import prior_quadruped, true_quadruped, urdf_text
+
+KINDS = ("stand", "walk", "hang")
+_MAX_FALLS = 5
+
+
+def write_logs(folder: Path, kind: str, seconds: float, seed: int, ending: str) -> None:
+    """Write two logs of a kind of motion; another motion is tried if the robot falls."""
+    truth = true_quadruped(seed)
+    written = 0
+    for motion_seed in range(100 * seed, 100 * seed + 2 + _MAX_FALLS):
+        try:
+            recording = record(truth, kind, seconds, motion_seed)
+        except RuntimeError as fall:
+            print(f"{kind}: {fall}; another motion is tried", flush=True)
+            continue
+        written += 1
+        path = folder / f"{kind}{written if written > 1 else ''}{ending}"
+        write_csv(path, recording) if ending == ".csv" else write_mcap(path, recording)
+        print(path, flush=True)
+        if written == 2:
+            return
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write the robot and its logs."""
+    parser = argparse.ArgumentParser(description="Write a quadruped on the ground and its logs.")
+    parser.add_argument("--out", type=Path, required=True, help="folder")
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--seconds", type=float, default=16.0, help="length of each log")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--mcap", action="store_true", help="write MCAP in place of CSV")
+    options = parser.parse_args(arguments)
+
+    options.out.mkdir(parents=True, exist_ok=True)
+    truth = true_quadruped(options.seed)
+    (options.out / "quadruped.urdf").write_text(urdf_text(prior_quadruped(truth, options.seed)))
+    (options.out / "true.urdf").write_text(urdf_text(truth))
+    (options.out / "quadruped.yaml").write_text(config_text(truth, are_forces_measured=False))
+    (options.out / "measured.yaml").write_text(config_text(truth, are_forces_measured=True))
+    for kind in options.kinds.split(","):
+        write_logs(options.out, kind, options.seconds, options.seed, ".mcap" if options.mcap else ".csv")
+
+
+if __name__ == "__main__":
+    main()
