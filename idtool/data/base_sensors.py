@@ -83,7 +83,8 @@ class BaseSensors:
         self._channels = log.channels
         self._contacts = config.contacts
         self._imu_frame = imu_frame
-        self._imu_delay = config.base.imu.delay
+        delay = config.base.imu.delay
+        self._imu_delay = 0.0 if delay == "auto" else float(delay)
         self._has_orientation = any(_needs_orientation(contact) for contact in config.contacts)
 
     def kinematics(self, t: Array, dt: float, smooth: Callable[[Array], Array]) -> tuple[Array, Array]:

@@ -90,7 +90,7 @@ class ContactForces:
         for joint, mask in resting.items():
             is_free[mask, joint] = 0.0
         identity = np.eye(nv) * is_free[:, None, :]
-        directions = self._unknown_directions(motion)
+        directions = self.unknown_directions(motion)
         if not len(directions):
             return identity
         A = np.moveaxis(directions, -1, 0) / self.noise * is_free[:, None, :]  # (N, k, nv)
@@ -116,7 +116,7 @@ class ContactForces:
         projected = (projector @ in_noise) * self.noise[:, None]
         return np.ascontiguousarray(np.moveaxis(projected, 0, -1)).reshape(rows.shape)
 
-    def _unknown_directions(self, motion: Motion) -> Array:
+    def unknown_directions(self, motion: Motion) -> Array:
         """Generalized force per unit of each component of the unknown contact forces, shape (k, nv, N)."""
         unknown = [i for i, contact in enumerate(self.contacts) if not contact.is_measured]
         nv, samples = motion.q.shape

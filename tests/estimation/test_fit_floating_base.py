@@ -12,6 +12,7 @@ from ground.logs import RATE, Sensors, config_text, record, write_csv
 from ground.robot import JOINTS, mounts, prior_quadruped, true_quadruped, urdf_text
 
 import idtool
+from idtool.api.data import load_experiment
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.safe_yaml import parse_yaml
 from idtool.robot.model import BASE_COORDINATES
@@ -116,3 +117,35 @@ def test_missing_sensor_is_named(folder: Path, tmp_path: Path) -> None:
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
     with pytest.raises(LogError, match="has no channel imu_wx"):
         idtool.fit(model, path, quick=True)
+
+
+@pytest.fixture(scope="module")
+def late_imu(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("late") / "stand.csv"
+    write_csv(path, record(TRUTH, "stand", seconds=5.0, seed=1, sensors=Sensors(imu_delay=6e-3)))
+    return path
+
+
+def notice_codes(folder: Path, log: Path, **imu: Any) -> tuple[list[str], float]:
+    """Codes of the notices about the IMU, and its delay as it is used [s]."""
+    base = settings("unknown")["base"]
+    config = settings("unknown", base={**base, "imu": {**base["imu"], **imu}})
+    experiment = load_experiment(idtool.Model(folder / "prior.urdf", config=config), (), [log])
+    codes = [notice.code for notice in experiment.notices if notice.code.startswith("imu")]
+    return codes, float(experiment.config.base.imu.delay)
+
+
+def test_delay_of_the_imu_is_found_and_undone(folder: Path, late_imu: Path) -> None:
+    """By how the joints turn the base while the feet stand; soft feet account for a millisecond."""
+    codes, delay = notice_codes(folder, late_imu)
+    assert codes == ["imu_delay"]
+    assert delay == pytest.approx(6e-3, abs=1.5e-3)
+    assert notice_codes(folder, late_imu, delay=6e-3) == ([], 6e-3)
+    assert notice_codes(folder, late_imu, delay=0.0) == (["imu_delay"], 0.0)  # a warning
+    assert notice_codes(folder, folder / "stand.csv") == ([], 0.0)
+    assert notice_codes(folder, folder / "hang.csv") == ([], 0.0)  # which tells nothing
+
+
+def test_delay_that_is_no_number_is_refused(folder: Path) -> None:
+    with pytest.raises(ConfigError, match="never is not a delay; give auto, or a number in s"):
+        notice_codes(folder, folder / "hang.csv", delay="never")

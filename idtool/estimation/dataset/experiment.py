@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,7 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
+from idtool.estimation.dataset.imu_delay import with_imu_delay
 from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.estimation.dataset.weights import initial_row_noise
 from idtool.robot.config import Config
@@ -312,6 +313,9 @@ def prepare(
     model = build_model(robot, config, common)
     for log in every:
         _check_signals(log, model.joint_names)
+    if model.has_floating_base:
+        config, notices = with_imu_delay(config, model, every)
+        model = replace(model, notices=(*model.notices, *notices))
     equation = LinearModel(
         model.names, build_effects(model, config), contacts=_contacts(model, config, fitted or every)
     )

@@ -4,23 +4,29 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Positive, Vector
 
 _MAX_WIDENING = 10.0  # s
 
 
+def _delay(data: object) -> object:
+    if isinstance(data, str) and data != "auto":
+        raise ValueError(f"{data} is not a delay; give auto, or a number in s")
+    return data
+
+
 class Imu(ConfigRecord):
     """The inertial measurement unit.
 
     ``link`` is by default the base's; ``topic`` is needed if an MCAP log has several; ``delay`` is how late it is
-    against the joints [s].
+    against the joints [s], which ``auto`` determines.
     """
 
     link: str | None = None
     topic: str | None = None
-    delay: Finite = 0.0
+    delay: Annotated[Literal["auto"] | Finite, BeforeValidator(_delay)] = "auto"
 
 
 class Base(ConfigRecord):
