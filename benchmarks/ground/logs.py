@@ -48,18 +48,9 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Recording:
-    """Channels by their column's name, shape (N,), and what no sensor sees.
-
-    Attributes
-    ----------
-    columns
-        As logged.
-    base_wrench
-        Force and moment of the ground about the trunk's origin along its axes, shape (N, 6) [N, N m].
-    """
+    """Channels as logged, by their column's name, shape (N,)."""
 
     columns: Mapping[str, Array]
-    base_wrench: Array
 
 
 def record(
@@ -137,7 +128,7 @@ def _measured(states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recor
         for i, axis in enumerate("xyz"):
             columns[f"force_{foot}_{axis}"] = force[:, i] + sensors.force * rng.normal(size=count)
     columns["contact_rope"] = np.full(count, float(np.all(states["forces"] == 0)))
-    return Recording(columns, np.zeros((count, BASE)))
+    return Recording(columns)
 
 
 def _late(x: Array, samples: int) -> Array:

@@ -18,6 +18,7 @@ from idtool.data.logs.log import JointLog
 from idtool.data.logs.sensor_channels import SensorOptions
 from idtool.robot.body import Frame
 from idtool.robot.config import Config, Contact
+from idtool.robot.model import RobotModel
 
 GYROSCOPE = ("imu_wx", "imu_wy", "imu_wz")
 ACCELEROMETER = ("imu_ax", "imu_ay", "imu_az")
@@ -64,6 +65,13 @@ def needed_channels(config: Config) -> tuple[str, ...]:
 def _needs_orientation(contact: Contact) -> bool:
     """True if where a contact is, or the axes of its wrench, depend on the orientation of the base."""
     return contact.radius > 0 or (contact.is_measured and contact.frame == "world")
+
+
+def base_sensors(log: JointLog, model: RobotModel, config: Config) -> BaseSensors | None:
+    """The sensors of a model's base in a log; None if the base is fixed."""
+    if not model.has_floating_base:
+        return None
+    return BaseSensors(log, config, model.frames[config.base.imu.link or model.robot.root])
 
 
 class BaseSensors:
@@ -125,8 +133,9 @@ class BaseSensors:
         is_closed = np.ones((len(self._contacts), len(inner)), dtype=bool)
         wrenches = np.zeros((len(self._contacts), 6, len(inner)))
         for k, contact in enumerate(self._contacts):
-            if contact.flag is not None:
-                is_closed[k] = self._is_closed(contact.flag, contact.widen, inner)
+            flag = contact.flag_channel
+            if flag is not None and flag in self._channels:  # else it is always closed, or yet to be detected
+                is_closed[k] = self._is_closed(flag, contact.widen, inner)
             measured = [self._channels[name].at(t) for name in (*(contact.force or ()), *(contact.moment or ()))]
             if measured:
                 wrenches[k, : len(measured)] = smooth(np.stack(measured))

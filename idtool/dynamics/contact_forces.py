@@ -116,13 +116,18 @@ class ContactForces:
         projected = (projector @ in_noise) * self.noise[:, None]
         return np.ascontiguousarray(np.moveaxis(projected, 0, -1)).reshape(rows.shape)
 
-    def unknown_directions(self, motion: Motion) -> Array:
-        """Generalized force per unit of each component of the unknown contact forces, shape (k, nv, N)."""
+    def unknown_directions(self, motion: Motion, are_all_closed: bool = False) -> Array:
+        """Generalized force per unit of each component of the unknown contact forces, shape (k, nv, N).
+
+        0 at samples at which the contact is open, unless ``are_all_closed``.
+        """
         unknown = [i for i, contact in enumerate(self.contacts) if not contact.is_measured]
         nv, samples = motion.q.shape
         if not unknown:
             return np.zeros((0, nv, samples))
-        is_closed = _samples(motion).is_closed
+        is_closed = np.ones((len(self.contacts), samples), dtype=bool)
+        if not are_all_closed:
+            is_closed = _samples(motion).is_closed
         jacobians = self._jacobians(motion)
         directions = []
         for i in unknown:

@@ -13,7 +13,7 @@ from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.data.base_sensors import BaseSensors, needed_channels, sensor_options
+from idtool.data.base_sensors import base_sensors, needed_channels, sensor_options
 from idtool.data.controller import without_constant_torque
 from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.logs import JointLog, read_log
@@ -25,6 +25,7 @@ from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
+from idtool.estimation.dataset.contact_detection import with_detected_contacts
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.imu_delay import with_imu_delay
 from idtool.estimation.dataset.reduction import Reduction, empty
@@ -314,6 +315,9 @@ def prepare(
     for log in every:
         _check_signals(log, model.joint_names)
     if model.has_floating_base:
+        fitted = [with_detected_contacts(log, model, config) for log in fitted]
+        validated = [with_detected_contacts(log, model, config) for log in validated]
+        every = (*fitted, *validated)
         config, notices = with_imu_delay(config, model, every)
         model = replace(model, notices=(*model.notices, *notices))
     equation = LinearModel(
@@ -336,10 +340,7 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
     LogError
         If it lacks a signal of a joint or of a sensor of the base.
     """
-    sensors = None
-    if model.has_floating_base:
-        imu_frame = model.frames[config.base.imu.link or model.robot.root]
-        sensors = BaseSensors(log, config, imu_frame)
+    sensors = base_sensors(log, model, config)
     signals = Signals(log, model.joint_names, config, sensors)
     if sensors is not None:
         signals.notices += imu_findings(log)

@@ -47,9 +47,9 @@ class Contact(ConfigRecord):
 
     A ``point`` takes a force, a ``surface`` a force and a moment. ``point`` is in the link's frame [m]; with a
     ``radius`` [m] it is the centre of a ball, whose lowest point is the contact. ``flag`` names the log's channel that
-    tells when it is closed; without one, it always is. A flag is widened by ``widen`` [s] at both ends. ``force`` and
-    ``moment`` name the channels of a measured wrench on the link, along the axes of ``frame``; without them, the wrench
-    is unknown.
+    tells when it is closed; without one, it always is, and with ``auto`` the torque of the leg tells. A flag is widened
+    by ``widen`` [s] at both ends. ``force`` and ``moment`` name the channels of a measured wrench on the link, along
+    the axes of ``frame``; without them, the wrench is unknown.
     """
 
     name: str
@@ -79,7 +79,17 @@ class Contact(ConfigRecord):
         return self.force is not None
 
     @property
+    def is_detected(self) -> bool:
+        """True if the torque of the leg tells when it is closed."""
+        return self.flag == "auto"
+
+    @property
+    def flag_channel(self) -> str | None:
+        """Channel of its flag, which a detection makes if the log has none; None: it is always closed."""
+        return f"contact_{self.name} (detected)" if self.is_detected else self.flag
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """The log's channels that it needs."""
-        flag = (self.flag,) if self.flag is not None else ()
+        flag = () if self.flag is None or self.is_detected else (self.flag,)
         return (*flag, *(self.force or ()), *(self.moment or ()))

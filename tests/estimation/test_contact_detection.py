@@ -1,0 +1,80 @@
+"""Contacts of a quadruped in MuJoCo by the torque of its legs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ground.logs import Recording, config_text, record, write_csv
+from ground.robot import FEET, JOINTS, prior_quadruped, true_quadruped, urdf_text
+
+from idtool.common.safe_yaml import parse_yaml
+from idtool.data.base_sensors import needed_channels
+from idtool.data.logs import JointLog, read_log
+from idtool.data.logs.sensor_channels import with_sensors
+from idtool.estimation.dataset.contact_detection import with_detected_contacts
+from idtool.robot.config import Config, parse_config
+from idtool.robot.model import build_model
+from idtool.robot.urdf.reading import read_robot
+
+TRUTH = true_quadruped(0)
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    return record(TRUTH, "walk", seconds=4.0, seed=0)
+
+
+@pytest.fixture(scope="module")
+def hang() -> Recording:
+    return record(TRUTH, "hang", seconds=2.0, seed=0)
+
+
+def settings(flag: str | None) -> Config:
+    """Configuration in which all feet have a flag of one kind; None: their own."""
+    content: dict[str, Any] = dict(parse_yaml(Path("quadruped.yaml"), config_text(TRUTH, False).encode()))
+    if flag is not None:
+        content["contacts"] = [
+            {**contact, "flag": flag} if contact["kind"] == "point" else contact for contact in content["contacts"]
+        ]
+    return parse_config(content, "")
+
+
+def detected(folder: Path, recording: Recording, flag: str | None, **columns: np.ndarray) -> JointLog:
+    """Log of a recording with other columns, after the detection with the URDF whose masses are 10 to 30 % off."""
+    config = settings(flag)
+    write_csv(folder / "log.csv", Recording({**recording.columns, **columns}))
+    (folder / "prior.urdf").write_text(urdf_text(prior_quadruped(TRUTH, 0)))
+    model = build_model(read_robot(folder / "prior.urdf"), config, JOINTS)
+    log = with_sensors(read_log(folder / "log.csv"), needed_channels(config))
+    return with_detected_contacts(log, model, config)
+
+
+def test_steps_are_detected(tmp_path: Path, walk: Recording) -> None:
+    """Within 30 ms of where the force on the foot is above 8 N, a twentieth of the weight."""
+    log = detected(tmp_path, walk, "auto")
+    for foot in FEET:
+        channel = log.channels[f"contact_{foot} (detected)"]
+        force = np.interp(channel.t, walk.columns["t"], walk.columns[f"force_{foot}_z"])
+        is_clear = (force < 1) | (force > 20)
+        is_right = (channel.x > 0.5) == (force > 8)
+        assert is_right[is_clear].mean() > 0.93
+    (notice,) = [one for one in log.notices if one.code == "contacts_detected"]
+    assert all(foot in notice.message for foot in FEET)
+
+
+def test_legs_in_the_air_have_no_contact(tmp_path: Path, hang: Recording) -> None:
+    log = detected(tmp_path, hang, "auto")
+    assert all(log.channels[f"contact_{foot} (detected)"].x.mean() < 0.15 for foot in FEET)
+
+
+def test_flags_that_do_not_fit_the_load_are_named(tmp_path: Path, walk: Recording, hang: Recording) -> None:
+    foot = "contact_FL_foot"
+    never = detected(tmp_path, walk, None, **{foot: 0 * walk.columns[foot]})
+    assert [(one.code, one.subject) for one in never.notices] == [("contact_without_flag", "FL_foot")]
+    always = detected(tmp_path, hang, None, **{foot: 0 * hang.columns[foot] + 1})
+    assert [(one.code, one.subject) for one in always.notices] == [("contact_always_closed", "FL_foot")]
+    assert not detected(tmp_path, walk, None).notices
+    assert not detected(tmp_path, hang, None).notices
