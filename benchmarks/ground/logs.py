@@ -28,6 +28,7 @@ from ground.robot import (
 
 RATE = 1000  # samples a second
 _STEPS = 4  # of the simulation for each sample
+_FALLEN = 0.15  # m, height of the trunk
 _CLOSED = 4.0  # N: normal force from which a foot's flag is set
 
 
@@ -69,26 +70,56 @@ def record(
     dt = 1 / RATE / _STEPS
     plant = Plant(robot, physics, dt, q_first, course.height)
     rows = []
+    late_half = _Impulse.none()  # of the last sample time
     for i in range(round((seconds + 1) * RATE)):
         t = i / RATE - 1  # it settles for a second
         q_reference, v_reference = course.reference(max(t, 0.0))
         tau = course.kp * (q_reference - plant.q) + course.kd * (v_reference - plant.v[BASE:])
-        state = _state(plant, tau)
-        for step in range(_STEPS):
-            plant.step(tau)
-            if step == 0:
-                state["acceleration"] = plant.acceleration.copy()
-                state["forces"] = plant.forces.copy()
+        state = _state(plant)
+        early_half = _steps(plant, tau, _STEPS // 2)
         if t >= 0:
-            rows.append(state)
-        if not course.is_held and plant.trunk[0][2] < 0.15:
+            rows.append({**state, **early_half.mean_with(late_half)})
+        late_half = _steps(plant, tau, _STEPS // 2)
+        if not course.is_held and plant.trunk[0][2] < _FALLEN:
             raise RuntimeError(f"the robot fell after {t:.1f} s")
     return _measured({key: np.array([row[key] for row in rows]) for key in rows[0]}, sensors, seed)
 
 
-def _state(plant: Plant, tau: Array) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Impulse:
+    """Means over half a sample time: accelerations, forces on the feet, torques of the motors.
+
+    Sensors average over a sample time: a foot's impact is shorter, and would be aliased.
+    """
+
+    acceleration: Array
+    forces: Array
+    tau: Array
+
+    @staticmethod
+    def none() -> _Impulse:
+        """Those of a robot that does not move, with which the recording does not begin."""
+        return _Impulse(np.zeros(BASE + len(JOINTS)), np.zeros((len(FEET), 3)), np.zeros(len(JOINTS)))
+
+    def mean_with(self, other: _Impulse) -> dict[str, Array]:
+        """Means over both halves, by name."""
+        own, others = vars(self), vars(other)
+        return {name: (own[name] + others[name]) / 2 for name in own}
+
+
+def _steps(plant: Plant, tau: Array, count: int) -> _Impulse:
+    """Take steps under constant torque."""
+    accelerations, forces = [], []
+    for _ in range(count):
+        plant.step(tau)
+        accelerations.append(plant.acceleration.copy())
+        forces.append(plant.forces.copy())
+    return _Impulse(np.mean(accelerations, axis=0), np.mean(forces, axis=0), tau)
+
+
+def _state(plant: Plant) -> dict[str, Any]:
     position, R = plant.trunk
-    return {"q": plant.q.copy(), "v": plant.v.copy(), "tau": tau, "position": position, "R": R}
+    return {"q": plant.q.copy(), "v": plant.v.copy(), "position": position, "R": R}
 
 
 def _measured(states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recording:
