@@ -17,21 +17,9 @@ from typing import Any
 import numpy as np
 import yaml
 from ground.__main__ import KINDS
-from ground.robot import JOINTS, Quadruped, mounts, true_quadruped
+from ground.robot import JOINTS, Quadruped, true_quadruped
 
 import idtool
-
-
-def whole_robot(robot: Quadruped) -> tuple[float, np.ndarray]:
-    """Mass and centre of mass of a robot [kg, m], all joints at zero."""
-    places = {"trunk": np.zeros(3)}
-    moment = np.zeros(3)
-    for joint, mount in mounts().items():
-        places[mount.child] = places[mount.parent] + mount.position
-        moment += robot.rotors[joint].mass * places[mount.child]
-    for name, body in robot.links.items():
-        moment += body.mass * (places[name] + body.com)
-    return robot.mass, moment / robot.mass
 
 
 def true_model(folder: Path, robot: Quadruped, config: Mapping[str, Any], noise: Mapping[str, float]) -> idtool.Model:
@@ -58,17 +46,16 @@ def main() -> None:
 
     folder = options.folder
     truth = true_quadruped(options.seed)
-    true_mass, true_com = whole_robot(truth)
     logs = [next(folder.glob(f"{kind}.*")) for kind in KINDS]
     for name in ("quadruped", "measured"):
         config = yaml.safe_load((folder / f"{name}.yaml").read_text())
         result = idtool.fit(idtool.Model(folder / "quadruped.urdf", config=config), logs, quick=True)
         robot = result.whole_robot
         assert robot is not None
-        com_error = 1e3 * np.linalg.norm(np.asarray(robot.com) - true_com)
+        com_error = 1e3 * np.linalg.norm(np.asarray(robot.com) - truth.center_of_mass)
         print(
-            f"{name}: mass {100 * (robot.mass / true_mass - 1):+.3f} %, centre of mass off by {com_error:.2f} mm "
-            f"(prior {100 * (robot.prior_mass / true_mass - 1):+.1f} %)",
+            f"{name}: mass {100 * (robot.mass / truth.mass - 1):+.3f} %, centre of mass off by {com_error:.2f} mm "
+            f"(prior {100 * (robot.prior_mass / truth.mass - 1):+.1f} %)",
             flush=True,
         )
         noise = result.model.config["base"]["noise"]

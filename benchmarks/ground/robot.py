@@ -59,6 +59,18 @@ class Quadruped:
         """Mass of the whole robot [kg]."""
         return sum(body.mass for body in (*self.links.values(), *self.rotors.values()))
 
+    @property
+    def center_of_mass(self) -> Array:
+        """Centre of mass of the whole robot in the trunk, all joints at zero [m]."""
+        places = {"trunk": np.zeros(3)}
+        moment = np.zeros(3)
+        for joint, mount in mounts().items():
+            places[mount.child] = places[mount.parent] + mount.position
+            moment += self.rotors[joint].mass * places[mount.child]
+        for name, body in self.links.items():
+            moment += body.mass * (places[name] + body.com)
+        return moment / self.mass
+
 
 @dataclass(frozen=True)
 class Mount:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from ground.logs import RATE, Sensors, config_text, record, write_csv
-from ground.robot import JOINTS, mounts, prior_quadruped, true_quadruped, urdf_text
+from ground.robot import JOINTS, prior_quadruped, true_quadruped, urdf_text
 
 import idtool
 from idtool.api.data import load_experiment
@@ -37,32 +37,16 @@ def settings(forces: str, **changes: Any) -> dict[str, Any]:
     return {**dict(content), **changes}
 
 
-def mass_and_center(bodies: Mapping[str, tuple[float, Any]]) -> tuple[float, np.ndarray]:
-    """Mass and centre of mass [kg, m] of links and rotors, all joints at zero."""
-    places = {"trunk": np.zeros(3)}
-    for joint, mount in mounts().items():
-        places[mount.child] = places[mount.parent] + mount.position
-        places[f"{joint}_rotor"] = places[mount.child]
-    mass = sum(own_mass for own_mass, _ in bodies.values())
-    moment = sum(own_mass * (places[name] + np.array(com)) for name, (own_mass, com) in bodies.items())
-    return mass, np.asarray(moment) / mass
-
-
-def true_mass_and_center() -> tuple[float, np.ndarray]:
-    bodies = {name: (body.mass, body.com) for name, body in TRUTH.links.items()}
-    bodies |= {f"{joint}_rotor": (body.mass, body.com) for joint, body in TRUTH.rotors.items()}
-    return mass_and_center(bodies)
-
-
 @pytest.mark.parametrize("forces", FORCES)
 def test_mass_and_centre_of_mass_are_found(folder: Path, forces: str) -> None:
     """From a prior whose masses are 10 to 30 % off."""
     model = idtool.Model(folder / "prior.urdf", config=settings(forces))
     result = idtool.fit(model, [folder / "stand.csv", folder / "hang.csv"], quick=True)
-    mass, center = mass_and_center({name: (body.mass, body.com) for name, body in result.bodies.items()})
-    true_mass, true_center = true_mass_and_center()
-    assert mass == pytest.approx(true_mass, rel=5e-3)
-    assert np.linalg.norm(center - true_center) < 2e-3
+    robot = result.whole_robot
+    assert robot is not None
+    assert robot.mass == pytest.approx(TRUTH.mass, rel=5e-3)
+    assert np.linalg.norm(np.asarray(robot.com) - TRUTH.center_of_mass) < 2e-3
+    assert abs(robot.prior_mass / TRUTH.mass - 1) > 0.04
     coulomb = [result.friction[joint].coulomb for joint in JOINTS]
     np.testing.assert_allclose(coulomb, TRUTH.coulomb, atol=0.03)
     assert set(result.friction) == set(JOINTS)
