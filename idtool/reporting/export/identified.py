@@ -93,7 +93,9 @@ class IdentifiedModel:
 
     @property
     def gravity(self) -> Array:
-        """Gravity in the root link's frame, shape (3,) [m/s²]."""
+        """Gravity in the root link's frame, shape (3,) [m/s²]; with a floating base, in the world."""
+        if self.model.has_floating_base:
+            return np.asarray(self.config.gravity)
         return self.mechanism.gravity
 
     def value(self, joint: UrdfJoint) -> float:

@@ -27,9 +27,16 @@ def add_links(scene: Scene, world: etree._Element) -> None:
     robot = scene.identified.robot
     scene.bodies[robot.root] = world
     geoms = _collect_geoms(scene)
-    if robot.root != _WORLD:
-        scene.bodies[robot.root] = etree.SubElement(world, "body", name=robot.root)
-        scene.add_inertial(robot.root, scene.pi[-1], moves=False)
+    has_floating_base = scene.identified.model.has_floating_base
+    if robot.root != _WORLD or has_floating_base:
+        name = _body_name(scene, robot.root)
+        scene.bodies[robot.root] = etree.SubElement(world, "body", name=name)
+        if has_floating_base:
+            etree.SubElement(scene.bodies[robot.root], "freejoint")
+            scene.carried.append(Part("floating_base", robot.root, "free joint"))
+            scene.add_inertial(robot.root, scene.pi[scene.moving[robot.root]], moves=True)
+        else:
+            scene.add_inertial(robot.root, scene.pi[-1], moves=False)
     lumped = {member.link for body in scene.identified.model.bodies for member in body.members}
     _add_geoms(scene, robot.root, geoms)
     for joint in robot.joints.values():
@@ -45,7 +52,7 @@ def add_links(scene: Scene, world: etree._Element) -> None:
 
 def _add_body(scene: Scene, joint: UrdfJoint) -> None:
     """The body of a joint's child; a joint that is locked is built into its place."""
-    R, p, name = joint.R, joint.p, joint.child
+    R, p = joint.R, joint.p
     if joint.kind != "fixed" and joint.child not in scene.moving:
         value = scene.identified.value(joint)
         scene.carried.append(Part("locked_joint", joint.name, f"fixed at {value:g}"))
@@ -53,15 +60,21 @@ def _add_body(scene: Scene, joint: UrdfJoint) -> None:
             p = p + R @ joint.axis * value
         else:
             R = R @ Rotation.from_rotvec(joint.axis * value).as_matrix()
-    if name == _WORLD:
-        while name in scene.identified.robot.links:
-            name += "_"
-        scene.not_carried.append(
-            Part("name", joint.child, f"this name is reserved in MuJoCo; the body is called {name}")
-        )
+    name = _body_name(scene, joint.child)
     scene.bodies[joint.child] = etree.SubElement(
         scene.bodies[joint.parent], "body", name=name, pos=text(p), quat=quaternion(R)
     )
+
+
+def _body_name(scene: Scene, link: str) -> str:
+    """Name of a link's body: the link's, unless it is reserved in MuJoCo."""
+    if link != _WORLD:
+        return link
+    name = link
+    while name in scene.identified.robot.links:
+        name += "_"
+    scene.not_carried.append(Part("name", link, f"this name is reserved in MuJoCo; the body is called {name}"))
+    return name
 
 
 def _add_joint(scene: Scene, joint: UrdfJoint) -> None:

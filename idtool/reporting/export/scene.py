@@ -62,7 +62,7 @@ class Scene:
         self.moving = {body.name: i for i, body in enumerate(bodies) if body.kind == "link"}
         self.pi = {i: self.identified.pi[i].copy() for i in self.moving.values()}
         self.pi[-1] = self.urdf_parameters(self.identified.robot.root)
-        self.forces = ForcesByJoint(self.identified.model.names)
+        self.forces = ForcesByJoint(self.identified.model.joint_names)
 
     def urdf_parameters(self, link: str) -> Array:
         """A link's parameters in the URDF, shape (10,)."""

@@ -76,7 +76,9 @@ class Config(ConfigRecord):
     def require_fixed_base(self, command: str) -> None:
         """Raise ConfigError if the base floats, which the command cannot handle."""
         if self.base.kind != "fixed":
-            what = f"idtool {command} needs a fixed base; a floating one is for fit, validate and inspect"
+            what = (
+                f"idtool {command} needs a fixed base; a floating one is for fit, validate, inspect, export --to mujoco"
+            )
             raise ConfigError("base.kind: floating", what)
 
     def without_friction_values(self) -> Config:
