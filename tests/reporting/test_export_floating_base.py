@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from ground.logs import config_text
-from ground.robot import JOINTS, true_quadruped, urdf_text
+from ground.robot import GEAR, JOINTS, true_quadruped, urdf_text
 from standing_quadruped import random_state
 
 import idtool
@@ -66,6 +66,18 @@ def test_mujoco_has_a_free_joint_and_the_same_dynamics(folder: Path, rng: np.ran
     np.testing.assert_allclose(found[places], expected[:12], atol=1e-8)
     np.testing.assert_allclose(rotation.T @ found[:3], expected[12:15], atol=1e-8)
     np.testing.assert_allclose(found[3:6], expected[15:], atol=1e-8)
+
+
+def test_rotors_are_armature_whatever_turns_their_carriers(folder: Path) -> None:
+    content = dict(parse_yaml(Path("model.yaml"), config_text(TRUTH, False).encode()))
+    path = folder / "model.yaml"
+    path.write_bytes(yaml.safe_dump({**content, "joints": list(JOINTS)}).encode())
+    exported = idtool.export(folder, "mujoco")
+    model = mujoco.MjModel.from_xml_path(str(exported.save()))
+    inertia = TRUTH.rotors[JOINTS[0]].inertia[0, 0] * GEAR**2
+    np.testing.assert_allclose(model.dof_armature, [0] * 6 + [inertia] * 12)
+    assert model.body_subtreemass[1] == pytest.approx(TRUTH.mass)
+    assert any("rotation of its carrier" in part.detail for part in exported.not_carried)
 
 
 def test_other_forms_of_export_say_that_they_need_a_fixed_base(folder: Path) -> None:

@@ -10,7 +10,7 @@ Letters: nv joints, pi inertia parameters (10,), v joint velocities (nv,).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -117,7 +117,10 @@ def averaged_rotors(identified: IdentifiedModel) -> tuple[Rotor, ...]:
                 raise unrealizable_error(identified.robot, f"rotor {body.name}")
             turning = np.zeros((len(q), _POSES))
             turning[jacobian.coordinates] = np.tensordot(body.axis, jacobian.S_w, axes=1)
-            rotors.append(_average_rotor(body, pi, turning - body.ratios[:, None]))
+            rotor = _average_rotor(body, pi, turning - body.ratios[:, None])
+            if model.has_floating_base:  # which turns every carrier, and has no coordinate that a tendon could name
+                rotor = replace(rotor, carrier=None)
+            rotors.append(rotor)
     return tuple(rotors)
 
 
