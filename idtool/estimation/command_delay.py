@@ -22,6 +22,7 @@ from numpy.polynomial.chebyshev import chebder, chebval, chebvander
 from scipy.optimize import minimize_scalar, nnls
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.common.notice import Notice
 from idtool.data.controller import MAX_DELAY
@@ -208,6 +209,10 @@ def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay
     controller = experiment.config.controller
     by_command = np.any([run.signals.controller.joints for run in experiment.runs if run.train], axis=0)
     if controller is None or not by_command.any():
+        return None
+    if experiment.model.has_floating_base:
+        if controller.known_delay is None:
+            raise ConfigError("controller.delay", "is not fitted for a floating base; give it in s")
         return None
     equation, equalities, given = experiment.equation, experiment.equalities, controller.known_delay
     lags = _Lags(experiment.band_hz)

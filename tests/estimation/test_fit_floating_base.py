@@ -133,3 +133,13 @@ def test_delay_of_the_imu_is_found_and_undone(folder: Path, late_imu: Path) -> N
 def test_delay_that_is_no_number_is_refused(folder: Path) -> None:
     with pytest.raises(ConfigError, match="never is not a delay; give auto, or a number in s"):
         notice_codes(folder, folder / "hang.csv", delay="never")
+
+
+def test_delay_of_a_controller_must_be_given(folder: Path, tmp_path: Path) -> None:
+    """Torque by the controller, from commands in place of the logged torque."""
+    header, *rows = (folder / "hang.csv").read_text().splitlines()
+    (tmp_path / "log.csv").write_text("\n".join([header.replace("tau_", "qcmd_"), *rows]))
+    gains = dict.fromkeys(JOINTS, 40.0)
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown", controller={"kp": gains}))
+    with pytest.raises(ConfigError, match="is not fitted for a floating base; give it in s"):
+        idtool.fit(model, tmp_path / "log.csv", quick=True)
