@@ -9,6 +9,7 @@ from idtool.diagnosis.error_summary import MAX_ERROR_RATIO, errors_of_fit, incre
 from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.held_out_error import held_out_log_change
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
+from idtool.diagnosis.records import ErrorSummary
 from idtool.estimation.fit import Fit, fit
 
 _MIN_LOG_DECREASE = 0.1  # of the squared error where the direction of friction is known, that excuses an increase
@@ -100,7 +101,11 @@ class StepFits:
 
     def errors_of(self, effects: Sequence[AddedEffect]) -> Errors:
         """Torque errors of the model with these effects, held out if anything is."""
-        return errors_of_fit(self.of(effects)).torque
+        return self.summary_of(effects).torque
+
+    def summary_of(self, effects: Sequence[AddedEffect]) -> ErrorSummary:
+        """Errors of the model with these effects."""
+        return errors_of_fit(self.of(effects))
 
     def by_step(self, order: Sequence[AddedEffect]) -> Iterator[tuple[AddedEffect, Errors, Errors]]:
         """Each effect with the errors before and after it is added to those before it."""
@@ -154,8 +159,8 @@ def _most_harmful(search: EffectSearch, fits: StepFits, excused: Collection[Adde
 
 def _is_clearly_harmful(search: EffectSearch, effect: AddedEffect, fits: StepFits) -> bool:
     """True if an effect increases the error beside all others by more than chance explains."""
-    without = errors_of_fit(fits.of(_others(search, effect)))
-    return increases_error(without, errors_of_fit(fits.of(search.reported)))
+    without = fits.summary_of(_others(search, effect))
+    return increases_error(without, fits.summary_of(search.reported))
 
 
 def _helps_where_friction_is_known(search: EffectSearch, effect: AddedEffect) -> bool:

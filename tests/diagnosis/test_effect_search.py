@@ -35,6 +35,7 @@ from idtool.diagnosis.effect_search import EffectSearch
 from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.model_selection import probe_key
+from idtool.diagnosis.records import ErrorSummary
 from idtool.diagnosis.reversal_rows import REVERSAL_MARGIN
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.diagnosis.trial import TrialFit, with_effects, with_fixed_inertia
@@ -880,16 +881,31 @@ def test_an_effect_that_helps_only_before_a_larger_one_comes_first(
     search = search_with(experiment_of(tmp_path, spring, rows=slice(4000)), [SPRING, OFFSET])
     larger, smaller = search.added
     errors = {frozenset(): 1.0, frozenset([larger]): 0.5, frozenset([smaller]): 0.99, frozenset(search.added): 0.501}
-    monkeypatch.setattr(StepFits, "errors_of", lambda self, effects: {"overall": errors[frozenset(effects)]})
+    monkeypatch.setattr(StepFits, "summary_of", lambda self, effects: overall(errors[frozenset(effects)]))
     order_effects(search, StepFits(search, fit(search.current.experiment, silent)))
     assert owners(search) == [OFFSET, SPRING]
     assert not search.removed
 
 
+def test_an_effect_that_increases_the_error_by_chance_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By errors that are given here: 0.2 % more with the effect, now more in a second and now less."""
+    search = search_with(experiment_of(tmp_path, spring, rows=slice(4000)), [SPRING])
+    given = [overall(1.0, 1.0, 1.0, 1.0), overall(1.002, 1.05, 0.97, 0.99)]
+    monkeypatch.setattr(StepFits, "summary_of", lambda self, effects: given[len(effects)])
+    monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after, row_equation: 0.5)
+    order_effects(search, StepFits(search, fit(search.current.experiment, silent)))
+    assert owners(search) == [SPRING]
+
+
 def give_errors(monkeypatch: pytest.MonkeyPatch, errors: Sequence[float]) -> None:
     """Errors of the model with one effect, with two, and so on; without effects, 1."""
     given = [1.0, *errors]
-    monkeypatch.setattr(StepFits, "errors_of", lambda self, effects: {"overall": given[len(effects)]})
+    monkeypatch.setattr(StepFits, "summary_of", lambda self, effects: overall(given[len(effects)]))
+
+
+def overall(error: float, *squares_by_second: float) -> ErrorSummary:
+    """Error over all joints, and the squared errors within each second, if they are known."""
+    return ErrorSummary({"overall": error}, None, None, np.array(squares_by_second) if squares_by_second else None)
 
 
 @pytest.mark.parametrize(("alone", "together", "left"), [(1.1, 0.5, [SPRING, OFFSET]), (1.1, 1.3, [])])
