@@ -67,6 +67,12 @@ def _needs_orientation(contact: Contact) -> bool:
     return contact.radius > 0 or (contact.is_measured and contact.frame == "world")
 
 
+def sensor_step(log: JointLog) -> float:
+    """Sample time of the slowest sensor of a log's base [s]; contact flags may be slower."""
+    steps = [float(np.median(np.diff(log.channels[name].t))) for name in (*GYROSCOPE, *ACCELEROMETER)]
+    return max(steps)
+
+
 def base_sensors(log: JointLog, model: RobotModel, config: Config) -> BaseSensors | None:
     """The sensors of a model's base in a log; None if the base is fixed."""
     if not model.has_floating_base:

@@ -144,7 +144,7 @@ class _MotionReader:
         a = differentiate(v, dt)
         availability = self._channels.times(slice(part.start + self.lookahead, part.stop + self.lookahead))
         return Motion(
-            t=availability - self._signals.log.t[0],
+            t=availability - self._signals.log.start,
             q=q[:, 2 * r : -2 * r],
             v=v[:, r:-r],
             a=a,

@@ -134,13 +134,13 @@ def align(measured: JointLog, simulated: JointLog, joints: Sequence[str]) -> Log
     LogError
         If one of the logs is much shorter than the other.
     """
-    duration = _duration(measured)
-    simulated_duration = _duration(simulated)
+    duration = measured.duration
+    simulated_duration = simulated.duration
     if min(duration, simulated_duration) < _MIN_OVERLAP * max(duration, simulated_duration):
         what = f"lasts {simulated_duration:.3g} s, and {printable(measured.path.name)} lasts {duration:.3g} s"
         raise LogError(simulated.path, f"{what}; play the same commands in the simulator")
     offset = _offset(measured, simulated, joints)
-    t = measured.t - _start(measured)
+    t = measured.t - measured.start
     start = max(offset, 0.0)
     end = min(duration, offset + simulated_duration)
     inside = (t >= start) & (t <= end)
@@ -157,16 +157,6 @@ def align(measured: JointLog, simulated: JointLog, joints: Sequence[str]) -> Log
         position=position,
         motion=_motion(measured, joints, inside),
     )
-
-
-def _duration(log: JointLog) -> float:
-    """Time from the first complete sample to the last [s]."""
-    return float(log.t[log.segments[-1].stop - 1]) - _start(log)
-
-
-def _start(log: JointLog) -> float:
-    """Time of the first complete sample [s]."""
-    return float(log.t[log.segments[0].start])
 
 
 def _differences(
@@ -205,7 +195,7 @@ def _sampled(log: JointLog, signal: str, joint: str, t: Array) -> Array:
     """A signal at times from the log's start, shape (N,)."""
     x = log.signals[signal][:, log.joints.index(joint)]
     known = np.isfinite(x) & np.isfinite(log.t)
-    stamps = np.maximum.accumulate(log.t[known] - _start(log))
+    stamps = np.maximum.accumulate(log.t[known] - log.start)
     return np.asarray(np.interp(t, stamps, x[known]))
 
 
@@ -216,8 +206,8 @@ def _offset(measured: JointLog, simulated: JointLog, joints: Sequence[str]) -> f
     """
     has_commands = all(log.has("qcmd", name) for log in (measured, simulated) for name in joints)
     signal = "qcmd" if has_commands else "q"
-    duration = _duration(measured)
-    simulated_duration = _duration(simulated)
+    duration = measured.duration
+    simulated_duration = simulated.duration
     dt = max(measured.dt, simulated.dt, max(duration, simulated_duration) / _MAX_GRID)
     t = np.arange(0.0, duration, dt)
     u = np.arange(0.0, simulated_duration, dt)

@@ -45,7 +45,7 @@ class Motion:
     Attributes
     ----------
     t
-        Time since the log's first sample [s], shape (N,).
+        Time since the log's first complete sample [s], shape (N,).
     q, v, a
         Position, velocity and acceleration, shape (nv, N); those of a floating base come last, see `RobotModel`.
     tau
@@ -311,7 +311,7 @@ class Signals:
         return v
 
     def _motion(self, part: slice, delays: Sequence[float]) -> Motion:
-        t = self.channels.times(part) - self.log.t[0]
+        t = self.channels.times(part) - self.log.start
         q, v, a = self._kinematics(part, self.velocity_from_position)
         (tau, *delayed), logged_tau = self._torques(part, (self.controller.delay, *delays))
         delayed_torques = np.array(delayed).reshape(-1, *tau.shape)

@@ -71,7 +71,7 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
     start = 0.0
     for run in experiment.runs:
         log = run.signals.log
-        stop = start + float(log.t[-1] - log.t[0]) + log.dt
+        stop = start + log.duration + log.dt
         first, end = np.searchsorted(residual.t, [start - log.dt / 2, stop - log.dt / 2])
         if run.train and end > first:
             own = residual.part(slice(int(first), int(end)), start)
@@ -82,7 +82,7 @@ def find_bursts(experiment: Experiment, theta: Array, progress: Progress) -> tup
 
 def _bursts_of_log(model: RobotModel, residual: RobustResidual, log: JointLog) -> tuple[Burst, ...]:
     """Bursts in one log."""
-    windows = _contact_windows(residual, float(log.t[-1] - log.t[0]))
+    windows = _contact_windows(residual, log.duration)
     pushes = find_pushes(model, residual)
     if not windows:
         return pushes

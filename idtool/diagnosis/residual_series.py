@@ -113,7 +113,7 @@ def residual_chunks(
             if i % every == 0:
                 starts_segment = every > 1 or batch.before < batch.low_pass.reach
                 yield _chunk(models, batch, log_start, dt, starts_segment)
-        log_start += float(signals.log.t[-1] - signals.log.t[0]) + signals.log.dt
+        log_start += signals.log.duration + signals.log.dt
 
 
 def _chunk(models: Models, batch: Batch, log_start: float, dt: float, starts_segment: bool) -> ResidualSeries:

@@ -26,7 +26,7 @@ from idtool.robot.config import Contact
 from idtool.robot.kinematics import BodyJacobian, body_jacobians, body_motions, body_placements, cross, rotate
 from idtool.robot.model import RobotModel
 
-_SINGULAR = 1e-11  # of the mean squared direction of a contact force: components without influence, as at open contacts
+_SINGULAR = 1e-11  # of a squared unit direction: combinations of contact forces that exert nothing
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,9 @@ class ContactForces:
         if not len(directions):
             return identity
         A = np.moveaxis(directions, -1, 0) / self.noise * is_free[:, None, :]  # (N, k, nv)
-        gram = A @ A.transpose(0, 2, 1)
-        size = np.trace(gram, axis1=1, axis2=2) / len(directions)
-        damping = _SINGULAR * np.maximum(size, np.finfo(float).tiny)
-        gram += damping[:, None, None] * np.eye(len(directions))
-        gram[size == 0] = np.eye(len(directions))
+        size = np.linalg.norm(A, axis=2, keepdims=True)
+        A = A / np.where(size > 0, size, 1.0)  # 0 at open contacts; others differ by orders of magnitude
+        gram = A @ A.transpose(0, 2, 1) + _SINGULAR * np.eye(len(directions))
         return np.asarray(identity - A.transpose(0, 2, 1) @ np.linalg.solve(gram, A))
 
     def projected(self, projector: Array, rows: Array) -> Array:

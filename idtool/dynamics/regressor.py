@@ -27,6 +27,7 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.model import RobotModel
 
 _MAX_INVALID_WEIGHT = 0.3  # share of a valid filtered sample's weight that may come from invalid samples
+_MIN_SHARE_OF_ROW = 1e-6  # that unknown contact forces leave, for it to count
 _PROJECTED_TOGETHER = 40  # columns from which contact forces are eliminated together, to bound the memory
 _CLEAN_WEIGHT = 0.03  # share by magnitude up to which invalid samples do not show in a filtered one
 
@@ -297,6 +298,7 @@ class LinearModel:
         projector = self._projector(batch.motion, self.contacts)
         diagonal = np.ascontiguousarray(np.diagonal(projector, axis1=1, axis2=2).T)
         shares = np.clip(batch.filter(diagonal), 0.0, 1.0)
+        shares[shares < _MIN_SHARE_OF_ROW] = 0.0  # what is left of the row is rounding
         return self._projected_by(projector, batch, self.contacts), list(shares)
 
     def valid_samples(self, batch: Batch) -> list[Mask]:

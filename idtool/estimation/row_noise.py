@@ -9,13 +9,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from idtool.common.arrays import Array
 from idtool.dynamics.contact_forces import ContactForces
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import free_noise
 
 _ELIMINATIONS = 2  # after the first one
+_MIN_SHARE = 1e-3  # of the rows of the joint with most, that tell a row's noise
 
 
 def with_row_noise(experiment: Experiment, progress: Progress) -> tuple[Experiment, tuple[Blocks, ...] | None]:
@@ -31,18 +35,21 @@ def with_row_noise(experiment: Experiment, progress: Progress) -> tuple[Experime
         return experiment, None
     data = _reduced(experiment, progress)
     for _ in range(_ELIMINATIONS):
-        noise = free_noise(experiment.equation, merge_reductions([log.total for log in data]), experiment.equalities)
-        experiment = _with_noise(experiment, contacts, noise)
+        reduction = merge_reductions([log.total for log in data])
+        del data  # which is large, before the next one is made
+        contacts = contacts.with_noise(_row_noise(experiment, contacts, reduction))
+        experiment = replace(experiment, equation=replace(experiment.equation, contacts=contacts))
         data = _reduced(experiment, progress)
     return experiment, data
+
+
+def _row_noise(experiment: Experiment, contacts: ContactForces, reduction: Reduction) -> Array:
+    """Noise of every row, shape (nv,); as before where contact forces leave next to nothing of a row."""
+    noise = free_noise(experiment.equation, reduction, experiment.equalities)
+    rows = np.array([factor.rows for factor in reduction])
+    return np.where(rows > _MIN_SHARE * rows.max(), noise, contacts.noise)
 
 
 def _reduced(experiment: Experiment, progress: Progress) -> tuple[Blocks, ...]:
     """The training data as R-factors."""
     return experiment.blocks(lambda run: experiment.rows(run, progress))
-
-
-def _with_noise(experiment: Experiment, contacts: ContactForces, noise: Array) -> Experiment:
-    """The experiment with contact forces eliminated according to the noise of the rows, shape (nv,)."""
-    equation = replace(experiment.equation, contacts=contacts.with_noise(noise))
-    return replace(experiment, equation=equation)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from idtool.data.logs import JointLog, make_log, read_log
 from idtool.data.logs.log import Channel
 from idtool.data.logs.payloads import sensor_decoder_for
 from idtool.data.logs.payloads.base import PayloadError
-from idtool.data.logs.payloads.sensor_types import SENSOR_TYPES
 from idtool.data.logs.sensor_channels import SensorOptions, with_sensors
 from idtool.robot.body import Frame
 from idtool.robot.config import Config, parse_config
@@ -196,16 +194,14 @@ def test_message_that_is_cut_off_is_refused(tmp_path: Path) -> None:
     assert sensor_decoder_for("cdr", Schema(id=1, name="tf2_msgs/msg/TFMessage", encoding="ros2msg", data=b"")) is None
 
 
-def test_odometry_is_the_pose_of_the_base() -> None:
-    schema = Schema(id=1, name="nav_msgs/msg/Odometry", encoding="ros2msg", data=b"")
-    decode = sensor_decoder_for("cdr", schema)
-    assert decode is not None
-    numbers = np.arange(85.0)
-    head = struct.pack("<4xiII5sxxxI4s", 7, 500_000_000, 5, b"odom\0", 4, b"imu\0")
-    padded = head + bytes(-(len(head) - 4) % 8)
-    message = bytes([0, 1, 0, 0]) + padded[4:] + numbers.tobytes()
-    (samples,) = decode(message, np.array([0]), np.array([len(message)]))
-    assert samples.t.tolist() == [7.5]
-    channels = SENSOR_TYPES["nav_msgs/Odometry"].channels("odom")
-    values = dict(zip(channels, samples.signals["sensor"][0], strict=True))
-    assert [values[f"base_{name}"] for name in ("x", "y", "z", "qx", "qw")] == [0, 1, 2, 3, 6]
+def test_flag_of_another_clock_is_refused() -> None:
+    """Stamps since 1970, and joints that begin at 0."""
+    flag = Channel(1.7e9 + np.arange(10.0), np.ones(10))
+    with pytest.raises(LogError, match=r"contact_foot are .* from those of the joints: it has another clock"):
+        with_sensors(log_of({"contact_foot": flag}), ["contact_foot"])
+
+
+def test_flag_is_set_before_its_first_value() -> None:
+    """A flag that is logged when it changes: the foot is lifted after a second."""
+    log = with_sensors(log_of({"contact_foot": Channel(np.array([1.0]), np.array([0.0]))}), ["contact_foot"])
+    assert log.channels["contact_foot"].latest(np.array([0.5, 1.5])).tolist() == [1.0, 0.0]

@@ -111,12 +111,13 @@ def late_imu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def notice_codes(folder: Path, log: Path, **imu: Any) -> tuple[list[str], float]:
-    """Codes of the notices about the IMU, and its delay as it is used [s]."""
+    """Codes of the notices about the IMU, and its delay as it is used [s]; ``auto`` counts as 0."""
     base = settings("unknown")["base"]
     config = settings("unknown", base={**base, "imu": {**base["imu"], **imu}})
     experiment = load_experiment(idtool.Model(folder / "prior.urdf", config=config), (), [log])
     codes = [notice.code for notice in experiment.notices if notice.code.startswith("imu")]
-    return codes, float(experiment.config.base.imu.delay)
+    delay = experiment.config.base.imu.delay
+    return codes, 0.0 if delay == "auto" else float(delay)
 
 
 def test_delay_of_the_imu_is_found_and_undone(folder: Path, late_imu: Path) -> None:
@@ -142,4 +143,53 @@ def test_delay_of_a_controller_must_be_given(folder: Path, tmp_path: Path) -> No
     gains = dict.fromkeys(JOINTS, 40.0)
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown", controller={"kp": gains}))
     with pytest.raises(ConfigError, match="is not fitted for a floating base; give it in s"):
+        idtool.fit(model, tmp_path / "log.csv", quick=True)
+
+
+def test_what_contacts_leave_nothing_of_is_not_determined(folder: Path) -> None:
+    """A rope that always holds the trunk, and nothing else: the weight is the rope's."""
+    rope = {"name": "rope", "link": "trunk", "kind": "surface"}
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown", contacts=[rope]))
+    robot = idtool.fit(model, folder / "hang.csv", quick=True).whole_robot
+    assert robot is not None
+    assert robot.mass_standard_error is None
+
+
+@pytest.mark.parametrize("contact", [{"link": "trunk"}, {"link": "FL_foot", "kind": "surface"}])
+def test_only_legs_tell_their_contacts(folder: Path, contact: dict[str, str]) -> None:
+    contacts = [{"name": "place", "flag": "auto", **contact}]
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown", contacts=contacts))
+    with pytest.raises(ConfigError, match="is for points on links that at least three joints move"):
+        idtool.validate(model, folder / "hang.csv")
+
+
+def with_column(log: Path, to: Path, name: str, value: str, rows: slice) -> Path:
+    """A log with another value in some rows of a column."""
+    header, *lines = [line.split(",") for line in log.read_text().splitlines()]
+    for line in lines[rows]:
+        line[header.index(name)] = value
+    to.write_text("\n".join(",".join(line) for line in [header, *lines]))
+    return to
+
+
+def test_one_torque_that_is_not_finite_is_left_out(folder: Path, tmp_path: Path) -> None:
+    log = with_column(folder / "hang.csv", tmp_path / "log.csv", f"tau_{JOINTS[0]}", "inf", slice(100, 101))
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
+    assert np.isfinite(idtool.validate(model, log).rms.model["overall"])
+
+
+def test_orientation_of_zeros_is_named(folder: Path, tmp_path: Path) -> None:
+    log = folder / "hang.csv"
+    for part in "xyzw":
+        log = with_column(log, tmp_path / "log.csv", f"imu_q{part}", "0", slice(None))
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
+    with pytest.raises(LogError, match=r"the orientation of the IMU .* is zero"):
+        idtool.validate(model, log)
+
+
+def test_short_log_is_refused_in_one_line(folder: Path, tmp_path: Path) -> None:
+    lines = (folder / "hang.csv").read_text().splitlines()
+    (tmp_path / "log.csv").write_text("\n".join(lines[:100]))
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
+    with pytest.raises(LogError, match="long"):
         idtool.fit(model, tmp_path / "log.csv", quick=True)

@@ -37,7 +37,8 @@ def imu_findings(log: JointLog) -> Iterator[Notice]:
     is_complete = all(name in channels and len(channels[name].t) for name in (*ACCELEROMETER, *GYROSCOPE))
     if not is_complete:
         return
-    t = log.t[log.segments[0]][:_MAX_SAMPLES]
+    longest = max(log.segments, key=lambda segment: segment.stop - segment.start)
+    t = log.t[longest][:_MAX_SAMPLES]
     acceleration = np.stack([channels[name].at(t) for name in ACCELEROMETER])
     rates = np.stack([channels[name].at(t) for name in GYROSCOPE])
     samples = max(round(_AVERAGE / log.dt), 1)

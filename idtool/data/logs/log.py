@@ -90,6 +90,16 @@ class JointLog:
     def __len__(self) -> int:
         return len(self.t)
 
+    @property
+    def start(self) -> float:
+        """Time of the first complete sample [s]."""
+        return float(self.t[self.segments[0].start])
+
+    @property
+    def duration(self) -> float:
+        """Time from the first complete sample to the last [s]."""
+        return float(self.t[self.segments[-1].stop - 1]) - self.start
+
     def has(self, signal: str, joint: str) -> bool:
         """True if ``joint`` has ``signal``."""
         if joint not in self.joints or signal not in self.signals:

@@ -17,9 +17,11 @@ from idtool.common.names import count_text, join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.data.logs.log import Channel, JointLog
 
-SENSOR_CHANNEL = re.compile(r"imu_(q[wxyz]|[wa][xyz])|contact_.+|force_.+_m?[xyz]|base_(q[wxyz]|[xyz])")
+SENSOR_CHANNEL = re.compile(r"imu_(q[wxyz]|[wa][xyz])|contact_.+|force_.+_m?[xyz]")
 
-_QUATERNIONS = (("imu_qw", "imu_qx", "imu_qy", "imu_qz"), ("base_qw", "base_qx", "base_qy", "base_qz"))
+_QUATERNION = ("imu_qw", "imu_qx", "imu_qy", "imu_qz")
+_MIN_NORM = 0.5  # of a quaternion; drivers publish zeros as long as they know no orientation
+_MAX_CLOCK_ERROR = 86_400.0  # s, from a flag to the joints, beyond which it has another clock
 _MAX_STEPS = 10.0  # between samples of a channel, in its own median steps and in the joints', beyond which it has a gap
 
 
@@ -47,13 +49,19 @@ def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
     """
     channels = {}
     for name in dict.fromkeys(names):
+        if not log.channels:
+            what = f"has no channel {printable(name)}, and none of any sensor (in Python, use Model.read_log)"
+            raise LogError(log.path, what)
         if name not in log.channels:
             raise LogError(log.path, f"has no channel {printable(name)}; {suggestion(name, list(log.channels))}")
         channels[name] = finite_samples(log.channels[name])
         if len(channels[name].t) < (1 if _is_flag(name) else 2):
             raise LogError(log.path, f"channel {printable(name)} has no values")
-    for quaternion in _QUATERNIONS:
-        channels |= _without_sign_changes({name: channels[name] for name in quaternion if name in channels})
+        if _is_flag(name):
+            channels[name] = _closed_before(_in_same_clock(name, channels[name], log), log)
+    orientation = {name: channels[name] for name in _QUATERNION if name in channels}
+    if orientation:
+        channels |= _continuous_orientation(orientation, log)
     is_missing = np.zeros(len(log), dtype=bool)
     for name, channel in channels.items():
         if not _is_flag(name):
@@ -83,14 +91,40 @@ def finite_samples(channel: Channel) -> Channel:
     return Channel(t[order], channel.x[is_finite][order])
 
 
-def _without_sign_changes(parts: Mapping[str, Channel]) -> dict[str, Channel]:
-    """The four parts of a quaternion, whose sign means nothing, without jumps of the sign."""
-    if len(parts) < len(_QUATERNIONS[0]) or len({len(part.t) for part in parts.values()}) > 1:
+def _in_same_clock(name: str, flag: Channel, log: JointLog) -> Channel:
+    """A flag whose times are near the joints'; LogError if they are of another clock."""
+    start, end = log.t[log.segments[0].start], log.t[log.segments[-1].stop - 1]
+    distance = max(flag.t[0] - end, start - flag.t[-1], 0.0)
+    if distance > _MAX_CLOCK_ERROR:
+        what = (
+            f"the times of {printable(name)} are {distance:.3g} s away from those of the joints: it has another clock"
+        )
+        raise LogError(log.path, what)
+    return flag
+
+
+def _closed_before(flag: Channel, log: JointLog) -> Channel:
+    """A flag that counts as set before its first value, since a force that is eliminated without need does no harm."""
+    start = min(float(log.t[log.segments[0].start]), float(flag.t[0])) - 1.0
+    return Channel(np.concatenate([[start], flag.t]), np.concatenate([[1.0], flag.x]))
+
+
+def _continuous_orientation(parts: Mapping[str, Channel], log: JointLog) -> dict[str, Channel]:
+    """The four parts of a quaternion, whose sign means nothing, without jumps of the sign and without zeros."""
+    if len(parts) < len(_QUATERNION) or len({len(part.t) for part in parts.values()}) > 1:
         return dict(parts)
     quaternions = np.stack([part.x for part in parts.values()])
+    is_known = np.linalg.norm(quaternions, axis=0) > _MIN_NORM
+    if is_known.sum() < 2:
+        what = f"the orientation of the IMU ({join_names(list(parts))}) is zero; log the orientation from link to world"
+        raise LogError(log.path, what)
+    quaternions = quaternions[:, is_known]
     is_reversed = (quaternions[:, 1:] * quaternions[:, :-1]).sum(axis=0) < 0
     sign = np.where(np.cumsum(np.concatenate([[False], is_reversed])) % 2, -1.0, 1.0)
-    return {name: Channel(part.t, part.x * sign) for name, part in parts.items()}
+    continuous = {}
+    for (name, part), x in zip(parts.items(), quaternions, strict=True):
+        continuous[name] = Channel(part.t[is_known], x * sign)
+    return continuous
 
 
 def _is_in_gap(channel: Channel, log: JointLog) -> Mask:

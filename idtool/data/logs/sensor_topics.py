@@ -1,4 +1,4 @@
-"""`SensorTopics`: the topics of MCAP files with IMU, contacts, wrenches and odometry, as channels.
+"""`SensorTopics`: the topics of MCAP files with IMU, contacts and wrenches, as channels.
 
 A topic's name without its slashes is part of the channels' names: a wrench on /force/FL_foot becomes
 ``force_FL_foot_x``, a flag on /contact/FL_foot ``contact_FL_foot``.
@@ -105,9 +105,9 @@ class SensorTopics:
                 continue
             t = np.concatenate(topic.times)
             values = np.concatenate(topic.values)
-            for channel, x in zip(topic.channels, values.T, strict=True):
-                if channel:
-                    channels[channel] = Channel(t, np.ascontiguousarray(x))
+            used_channels = [channel for channel in topic.channels if channel]
+            for channel, x in zip(used_channels, values.T, strict=True):
+                channels[channel] = Channel(t, np.ascontiguousarray(x))
         return channels
 
     def _decode(self, topic: _Topic, batch: RecordBatch, index: Indices) -> None:
@@ -122,7 +122,9 @@ class SensorTopics:
         log_time = heads["log_time"] / 1e9
         for piece in decoded:
             topic.times.append(np.where(piece.t == 0, log_time[piece.index], piece.t))
-            topic.values.append(np.asarray(piece.signals["sensor"], dtype=np.float64))
+            used = [i for i, channel in enumerate(topic.channels) if channel]
+            # a copy, so that the messages need not be kept
+            topic.values.append(np.array(piece.signals["sensor"][:, used], dtype=np.float64))
 
 
 def _channel_name(topic: str) -> str:

@@ -25,7 +25,7 @@ def gapless_range(signals: Signals, window: slice) -> slice:
 def start_times(signals: Signals, windows: Sequence[slice]) -> Array:
     """Start of each window, since the log's first sample [s], shape (W,)."""
     times = [signals.channels.times(slice(window.start, window.start + 1))[0] for window in windows]
-    return np.asarray(np.array(times) - signals.log.t[0])
+    return np.asarray(np.array(times) - signals.log.start)
 
 
 def split_into_windows(

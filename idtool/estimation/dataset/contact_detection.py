@@ -62,12 +62,12 @@ def foot_forces(signals: Signals, model: RobotModel, contacts: Sequence[Contact]
     contacts
         All contacts of the robot; those on links that fewer than three joints move are left out.
     """
-    feet = tuple(contact for contact in contacts if _is_foot(contact, model))
+    feet = tuple(contact for contact in contacts if is_detectable(contact, model))
     unconditional = tuple(contact.model_copy(update={"flag": None, "force": None, "moment": None}) for contact in feet)
     forces = ContactForces(model, unconditional, np.ones(len(model.joints)))
     pi = np.stack([body.pi for body in model.bodies])
-    times = []
-    sizes = []
+    times = [np.zeros(0)]
+    sizes = [np.zeros((len(feet), 0))]
     for batch in signals.batches():
         t, size = _forces_in_batch(batch, model, pi, forces)
         times.append(t)
@@ -87,31 +87,32 @@ def with_detected_contacts(log: JointLog, model: RobotModel, config: Config) -> 
     config
         The configuration.
     """
-    if all(contact.flag is None for contact in config.contacts):
+    if not any(contact.flag is not None and is_detectable(contact, model) for contact in config.contacts):
         return log
     signals = Signals(log, model.joint_names, config, base_sensors(log, model, config))
     found = foot_forces(signals, model, config.contacts)
+    if not len(found.t):  # too short; what reads it next says so
+        return log
     weight = 9.81 * sum(float(body.pi[0]) for body in model.bodies)
-    first = log.t[0]
     channels = dict(log.channels)
     closed = []
     notices = []
     for contact, size in zip(found.contacts, found.size, strict=True):
         if contact.is_detected:
             flag = size > _CLOSED * weight
-            channels[str(contact.flag_channel)] = Channel(found.t + first, flag.astype(float))
-            closed.append(f"{contact.name} {100 * flag.mean():.0f} %")
+            channels[str(contact.flag_channel)] = Channel(found.t + log.start, flag.astype(float))
+            closed.append(f"{contact.name} for {100 * flag.mean():.0f} %")
         elif contact.flag is not None:
-            notices += _flag_findings(contact, log.channels[contact.flag], found.t + first, size / weight)
+            notices += _flag_findings(contact, log.channels[contact.flag], found.t + log.start, size / weight)
     if closed:
-        message = f"contacts by the torque of the legs, share of the time: {join_names(closed)}"
+        message = f"contacts were detected by the torque of the legs; they are closed {join_names(closed)} of the time"
         advice = "log the contact flags or the foot forces if the robot has them"
         notices.append(Notice("contacts_detected", "note", None, message, advice))
     return replace(log, channels=channels, notices=(*log.notices, *notices))
 
 
-def _is_foot(contact: Contact, model: RobotModel) -> bool:
-    """True for a point on a link that at least three joints move."""
+def is_detectable(contact: Contact, model: RobotModel) -> bool:
+    """True for a point on a link that at least three joints move, whose torque tells the force."""
     body = model.frames[contact.link].body
     joints = model.support()[body, : model.joint_count].sum()
     return contact.kind == "point" and joints >= _JOINTS

@@ -13,7 +13,7 @@ from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.data.base_sensors import base_sensors, needed_channels, sensor_options
+from idtool.data.base_sensors import base_sensors, needed_channels, sensor_options, sensor_step
 from idtool.data.controller import without_constant_torque
 from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.logs import JointLog, read_log
@@ -25,7 +25,7 @@ from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
-from idtool.estimation.dataset.contact_detection import with_detected_contacts
+from idtool.estimation.dataset.contact_detection import is_detectable, with_detected_contacts
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.imu_delay import with_imu_delay
 from idtool.estimation.dataset.reduction import Reduction, empty
@@ -136,7 +136,8 @@ class Experiment:
         for joint in robot.joints.values():
             if joint.kind == "fixed" or joint.mimic or joint.name in self.model.names:
                 continue
-            if not any(robot.on_same_branch(joint.name, name) for name in self.model.names):
+            is_on_branch = any(robot.on_same_branch(joint.name, name) for name in self.model.joint_names)
+            if not (is_on_branch or self.model.has_floating_base):
                 continue  # the root stands still, so that nothing is felt of it
             travel = max((_travel(run.signals.log, joint.name) for run in self.runs), default=0.0)
             if travel > _STANDING.get(joint.kind, _STANDING_ANGLE):
@@ -232,6 +233,8 @@ class Experiment:
             If a joint has no sample that counts.
         """
         still = [name for name, factor in zip(self.equation.joints, data, strict=True) if not factor.rows]
+        if self.equation.contacts is not None and len(still) < len(data):
+            return data  # contact forces may leave nothing of a row
         if len(still) == len(data) and not self.samples(held_out=False):
             lengths = [(part.stop - part.start) * run.signals.log.dt for run in self.runs for part in run.train]
             longest = max(lengths, default=0.0)
@@ -315,6 +318,7 @@ def prepare(
     for log in every:
         _check_signals(log, model.joint_names)
     if model.has_floating_base:
+        _check_detected_contacts(model, config)
         fitted = [with_detected_contacts(log, model, config) for log in fitted]
         validated = [with_detected_contacts(log, model, config) for log in validated]
         every = (*fitted, *validated)
@@ -326,6 +330,8 @@ def prepare(
     equalities = equality_constraints(config, model, equation)
     if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
         band = min(default_cutoff(log.dt) for log in every)
+        if model.has_floating_base:
+            band = min(band, *(default_cutoff(sensor_step(log)) for log in every))
         config = config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": band})})
     runs = [_split(signals_of(log, model, config), 0.0 if validate else holdout) for log in fitted]
     runs += [_split(signals_of(log, model, config), 1.0) for log in validated]
@@ -347,11 +353,19 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
     return signals
 
 
+def _check_detected_contacts(model: RobotModel, config: Config) -> None:
+    """Refuse to detect a contact by the torque of a leg that does not tell the force."""
+    for i, contact in enumerate(config.contacts):
+        if contact.is_detected and not is_detectable(contact, model):
+            what = "is for points on links that at least three joints move; name the channel of a flag, or leave it out"
+            raise ConfigError(f"contacts.{i}.flag: auto", what)
+
+
 def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> ContactForces | None:
     """The contacts of a robot with a floating base; noise of rows that is not configured is guessed from its torque."""
     if not model.has_floating_base:
         return None
-    squares = [np.nanmean(np.square(_torques(log, model.joint_names)), axis=0) for log in logs]
+    squares = [np.mean(np.square(_torques(log, model.joint_names)), axis=0) for log in logs]
     noise = initial_row_noise(model, np.sqrt(np.mean(squares, axis=0)))
     for name, value in config.base.noise.items():
         if name not in model.names:
@@ -361,10 +375,12 @@ def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> Co
 
 
 def _torques(log: JointLog, joints: Sequence[str]) -> Array:
-    """Logged torque of joints, shape (N, joints); 1 N·m where none was logged."""
+    """Logged torque of joints in the log's segments, shape (N, joints); 1 N·m where none was logged."""
     columns = [log.joints.index(name) for name in joints]
-    tau = log.signals["tau"][:, columns] if "tau" in log.signals else np.ones((len(log), len(joints)))
-    return np.where(np.isnan(tau).all(axis=0), 1.0, tau)
+    if "tau" not in log.signals:
+        return np.ones((1, len(joints)))
+    tau = np.concatenate([log.signals["tau"][part][:, columns] for part in log.segments])
+    return np.where(np.isfinite(tau), tau, 1.0)
 
 
 def _read(log: Path | JointLog, config: Config) -> JointLog:

@@ -25,7 +25,7 @@ from idtool.robot.model import RobotModel
 _MAX_SAMPLES = 30_000
 _MIN_SECONDS = 3.0  # of standing
 _EROSION = 0.1  # s, at the ends of a contact in which a foot may slip
-_MIN_COMPONENTS = 9  # of velocities that closed contacts hold at zero: three points, or two surfaces
+_MIN_RANK_RATIO = 1e-3  # of the least to the largest singular value, with which closed feet determine the base's motion
 _MIN_AGREEMENT = 0.8  # share of the gyroscope's power that the joints must explain
 _MIN_SIGNIFICANCE = 3.0  # ratio of a delay to its standard error
 _COMPLIANCE = 1e-3  # s, by which soft feet let the base follow the joints late or early
@@ -45,7 +45,7 @@ class ImuDelay:
 
 
 def with_imu_delay(config: Config, model: RobotModel, logs: Sequence[JointLog]) -> tuple[Config, list[Notice]]:
-    """The configuration with the IMU's delay as a number, and notices about it.
+    """The configuration with the IMU's delay, where it is determined, and notices about it.
 
     Parameters
     ----------
@@ -59,18 +59,15 @@ def with_imu_delay(config: Config, model: RobotModel, logs: Sequence[JointLog]) 
     delay = imu_delay(logs, model, config)
     given = config.base.imu.delay
     used = 0.0 if given == "auto" else float(given)
-    notices = []
-    if delay is not None:
-        differs = abs(delay.value - used) > _MIN_SIGNIFICANCE * delay.standard_error
-        if differs and given == "auto":
-            used = delay.value
-            message = f"it is {delay.text} late against the joints; idtool corrects it"
-            notices.append(Notice("imu_delay", "note", "imu", message))
-        elif differs:
-            message = f"it is {delay.text} late against the joints; a delay of {1e3 * used:.3g} ms is given"
-            notices.append(Notice("imu_delay", "warning", "imu", message, "set base.imu.delay to auto"))
-    imu = config.base.imu.model_copy(update={"delay": used})
-    return config.model_copy(update={"base": config.base.model_copy(update={"imu": imu})}), notices
+    if delay is None or abs(delay.value - used) < _MIN_SIGNIFICANCE * delay.standard_error:
+        return config, []
+    if given != "auto":
+        message = f"it is {delay.text} late against the joints; a delay of {1e3 * used:.3g} ms is given"
+        return config, [Notice("imu_delay", "warning", "imu", message, "set base.imu.delay to auto")]
+    message = f"it is {delay.text} late against the joints; idtool corrects it"
+    imu = config.base.imu.model_copy(update={"delay": delay.value})
+    corrected = config.model_copy(update={"base": config.base.model_copy(update={"imu": imu})})
+    return corrected, [Notice("imu_delay", "note", "imu", message)]
 
 
 def imu_delay(logs: Sequence[JointLog], model: RobotModel, config: Config) -> ImuDelay | None:
@@ -81,7 +78,7 @@ def imu_delay(logs: Sequence[JointLog], model: RobotModel, config: Config) -> Im
 
 def _delay_in_log(log: JointLog, model: RobotModel, config: Config) -> ImuDelay | None:
     """Delay of the IMU in a log, with the error by noise; None if the log does not tell it."""
-    feet = tuple(contact for contact in config.contacts if _is_foot(contact, model))
+    feet = tuple(contact for contact in config.contacts if _is_flagged_foot(contact, model))
     if not feet:
         return None
     segment = max(log.segments, key=lambda s: s.stop - s.start)
@@ -98,11 +95,11 @@ def _delay_in_log(log: JointLog, model: RobotModel, config: Config) -> ImuDelay 
     for own, of_joints in zip(to_base @ measured, turning, strict=True):
         agreement = velocity_agreement(np.cumsum(of_joints) * log.dt, own, log.dt)
         if agreement.agreement > _MIN_AGREEMENT:
-            agreements.append(ImuDelay(agreement.lag - log.dt / 2, agreement.lag_error))  # a sum is half a sample late
+            agreements.append(ImuDelay(agreement.lag - log.dt / 2, agreement.lag_error))  # a sum is half a sample early
     return _mean(agreements)
 
 
-def _is_foot(contact: Contact, model: RobotModel) -> bool:
+def _is_flagged_foot(contact: Contact, model: RobotModel) -> bool:
     """True for a contact that is on a moving link, and of which the log tells when it is closed."""
     return contact.flag is not None and not model.bodies[model.frames[contact.link].body].is_base
 
@@ -133,8 +130,11 @@ def _foot_directions(
 
 def _stands(directions: Array) -> Mask:
     """True for samples at which closed feet determine the motion of the base, shape (N,)."""
-    held = (np.abs(directions).sum(axis=1) > 0).sum(axis=0)
-    return np.asarray(held >= _MIN_COMPONENTS)
+    of_base = np.moveaxis(directions[:, -6:], -1, 0)  # (N, k, 6)
+    if of_base.shape[1] < of_base.shape[2]:
+        return np.zeros(len(of_base), dtype=bool)
+    singular = np.linalg.svd(of_base, compute_uv=False)
+    return np.asarray(singular[:, -1] > _MIN_RANK_RATIO * singular[:, 0])
 
 
 def _longest_run(mask: Mask) -> slice:

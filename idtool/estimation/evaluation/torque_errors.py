@@ -13,7 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.data.signals import Batch
-from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
+from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
 from idtool.estimation.evaluation.envelope import Envelope, Trace
 from idtool.estimation.evaluation.spectrum import Correlations
 
@@ -29,8 +29,7 @@ class Errors:
     sum_squares_in_band, sum_squares_as_logged
         Sums of squared errors, shape (nv,) [(N·m)² or N²].
     sum_squares_by_second
-        Sum over all joints of the squared errors in the band within each second of the logs, shape (s,). It is 0 in
-        seconds without samples.
+        Sum over all joints of the squared errors in the band within each second of samples, log by log, shape (s,).
     """
 
     samples: int
@@ -40,7 +39,7 @@ class Errors:
 
     @staticmethod
     def none(joint_count: int, seconds: int) -> Errors:
-        """Errors of no samples, of logs with a number of seconds."""
+        """Errors of no samples, of logs with samples of a number of seconds."""
         return Errors(0, np.zeros(joint_count), np.zeros(joint_count), np.zeros(seconds))
 
     def rms(self, joints: Sequence[str], raw: bool = False) -> dict[str, float]:
@@ -96,36 +95,41 @@ def evaluate(
         If true the traces hold the joints' positions too, as ``q``.
     """
     joints = experiment.equation.joints
-    seconds_of_runs = [int(np.ptp(run.signals.log.t)) + 1 for run in experiment.runs]
-    errors = {name: Errors.none(len(joints), sum(seconds_of_runs)) for name in models}
+    seconds = sum(_seconds(run, held_out) for run in experiment.runs)
+    errors = {name: Errors.none(len(joints), seconds) for name in models}
+    second = 0  # the first of a log
     torque_sums = np.zeros((2, len(joints)))  # of the measured torque and of its square
     samples, stride = 0, 1
     traces, correlations = [], Correlations()
-    for i, run in enumerate(experiment.runs):
+    for run in experiment.runs:
         parts = run.parts(held_out)
         if not parts:
             continue
         log, stride = run.signals.log, run.signals.low_pass.stride
         envelope = Envelope(parts, log.t)
+        samples_of_log = 0
         batches = run.signals.batches(parts, every_sample=True)
         for batch in tracked(batches, parts, progress, f"predicting {log.path.name}"):
             measured, predicted = _predict(experiment, batch, models)
             inner = slice(batch.before, len(batch.motion.t) - batch.after)
-            second = sum(seconds_of_runs[:i]) + batch.motion.t[inner].astype(int)
+            numbers = samples_of_log + np.arange(measured.shape[1])
+            seconds_of_samples = second + (numbers * log.dt).astype(int)
+            samples_of_log += measured.shape[1]
             for name, torque in predicted.items():
                 squares = np.square(torque - measured)
                 errors[name].samples += torque.shape[1]
                 errors[name].sum_squares_in_band += squares.sum(axis=1)
-                np.add.at(errors[name].sum_squares_by_second, second, squares.sum(axis=0))
+                np.add.at(errors[name].sum_squares_by_second, seconds_of_samples, squares.sum(axis=0))
                 errors[name].sum_squares_as_logged += np.square(torque - batch.motion.logged_tau[:, inner]).sum(axis=1)
             torque_sums += measured.sum(axis=1), np.square(measured).sum(axis=1)
             samples += measured.shape[1]
             residual = measured - next(iter(predicted.values()))
             correlations.add(residual, measured, stride, log.dt)
             curves = {"measured": measured, "residual": residual, **predicted}
-            t = batch.motion.t[inner] + log.t[0]
+            t = batch.motion.t[inner] + log.start
             envelope.add(t, {**curves, "q": batch.motion.q[:, inner]} if angles else curves)
         traces.append(envelope.trace(log.path.name))
+        second += _seconds(run, held_out)
     mean, square = torque_sums / max(samples, 1)
     torque_std = np.sqrt(np.maximum(square - mean**2, 0))
     independent = correlations.independent(stride)
@@ -135,6 +139,12 @@ def evaluate(
         tuple(traces),
         dict(zip(joints, independent.tolist(), strict=False)),
     )
+
+
+def _seconds(run: Run, held_out: bool) -> int:
+    """Number of seconds of samples in a log's part for validation, or for fitting; a rest counts as one."""
+    samples = sum(part.stop - part.start for part in run.parts(held_out))
+    return int(samples * run.signals.log.dt) + 1
 
 
 def _predict(experiment: Experiment, batch: Batch, models: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:

@@ -163,7 +163,7 @@ def _samples(
     size = max(_CHUNK // (len(transform) * T.shape[1]), 1)
     batches = causal_batches(run.signals, experiment.config.filter.order, run.train)
     for batch in tracked(batches, run.train, progress, f"adapting to {run.signals.log.path.name}"):
-        t, (blocks, kept) = batch.t + run.signals.log.t[0], equation.filtered_rows(batch)
+        t, (blocks, kept) = batch.t + run.signals.log.start, equation.filtered_rows(batch)
         defined = np.stack(kept, axis=1)
         for start in range(0, len(t), size):
             part = slice(start, start + size)

@@ -6,9 +6,12 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Positive, Vector
+from idtool.robot.config.base import ConfigRecord, NonNegative, Positive, Vector
 
 _MAX_WIDENING = 10.0  # s
+_MAX_DELAY = 1.0  # s
+
+Delay = Annotated[float, Field(ge=-_MAX_DELAY, le=_MAX_DELAY, allow_inf_nan=False)]
 
 
 def _delay(data: object) -> object:
@@ -26,7 +29,7 @@ class Imu(ConfigRecord):
 
     link: str | None = None
     topic: str | None = None
-    delay: Annotated[Literal["auto"] | Finite, BeforeValidator(_delay)] = "auto"
+    delay: Annotated[Literal["auto"] | Delay, BeforeValidator(_delay)] = "auto"
 
 
 class Base(ConfigRecord):

@@ -1,6 +1,6 @@
 """Messages of sensors that are of no joint: the numbers in each, and the channels that they become.
 
-Source: the ROS 2 packages sensor_msgs, geometry_msgs, nav_msgs and std_msgs.
+Source: the ROS 2 packages sensor_msgs, geometry_msgs and std_msgs.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ import numpy as np
 
 _AXES = ("x", "y", "z")
 _QUATERNION = ("x", "y", "z", "w")
-_COVARIANCE_3 = ("",) * 9
-_COVARIANCE_6 = ("",) * 36
+_COVARIANCE = ("",) * 9
 
 
 @dataclass(frozen=True)
@@ -23,8 +22,6 @@ class SensorType:
     ----------
     has_header
         True if it begins with a stamp and the name of a frame.
-    names
-        Number of further names before the numbers.
     numbers
         Channel of each number, in which {} stands for the name of the topic; empty: the number is not read.
     dtype
@@ -32,7 +29,6 @@ class SensorType:
     """
 
     has_header: bool
-    names: int
     numbers: tuple[str, ...]
     dtype: str = "f8"
 
@@ -52,29 +48,17 @@ def _named(pattern: str, parts: tuple[str, ...]) -> tuple[str, ...]:
 SENSOR_TYPES = {
     "sensor_msgs/Imu": SensorType(
         has_header=True,
-        names=0,
         numbers=(
             *_named("imu_q", _QUATERNION),
-            *_COVARIANCE_3,
+            *_COVARIANCE,
             *_named("imu_w", _AXES),
-            *_COVARIANCE_3,
+            *_COVARIANCE,
             *_named("imu_a", _AXES),
-            *_COVARIANCE_3,
+            *_COVARIANCE,
         ),
     ),
     "geometry_msgs/WrenchStamped": SensorType(
-        has_header=True, names=0, numbers=(*_named("force_{}_", _AXES), *_named("force_{}_m", _AXES))
+        has_header=True, numbers=(*_named("force_{}_", _AXES), *_named("force_{}_m", _AXES))
     ),
-    "std_msgs/Bool": SensorType(has_header=False, names=0, numbers=("contact_{}",), dtype="u1"),
-    "nav_msgs/Odometry": SensorType(
-        has_header=True,
-        names=1,
-        numbers=(
-            *_named("base_", _AXES),
-            *_named("base_q", _QUATERNION),
-            *_COVARIANCE_6,
-            *("",) * 6,
-            *_COVARIANCE_6,
-        ),
-    ),
+    "std_msgs/Bool": SensorType(has_header=False, numbers=("contact_{}",), dtype="u1"),
 }
