@@ -334,18 +334,18 @@ class Signals:
         margin = self._margin
         outer = self.channels.times(slice(part.start - margin, part.stop + margin))
         v, a = sensors.kinematics(outer, self.log.dt, self._smooth)
-        no_torque = np.zeros_like(v)
+        zero = np.zeros_like(v)
         r = 2 * DIFFERENCE_REACH
-        no_delayed_torque = np.zeros((len(motion.delayed_torques), *v.shape))
+        delayed_zero = np.zeros((len(motion.delayed_torques), *v.shape))
         return replace(
             motion,
-            q=np.concatenate([motion.q, no_torque]),
+            q=np.concatenate([motion.q, zero]),
             v=np.concatenate([motion.v, v]),
             a=np.concatenate([motion.a, a]),
-            tau=np.concatenate([motion.tau, no_torque]),
-            logged_tau=np.concatenate([motion.logged_tau, no_torque]),
+            tau=np.concatenate([motion.tau, zero]),
+            logged_tau=np.concatenate([motion.logged_tau, zero]),
             velocity_deadband=np.append(motion.velocity_deadband, np.full(len(v), _MIN_DEADBAND)),
-            delayed_torques=np.concatenate([motion.delayed_torques, no_delayed_torque], axis=1),
+            delayed_torques=np.concatenate([motion.delayed_torques, delayed_zero], axis=1),
             contacts=sensors.contacts(outer[r : len(outer) - r], self._smooth),
         )
 

@@ -26,6 +26,8 @@ from idtool.robot.config import Contact
 from idtool.robot.kinematics import BodyJacobian, body_jacobians, body_motions, body_placements, cross, rotate
 from idtool.robot.model import RobotModel
 
+Placements = Mapping[int, tuple[Array, Array]]  # as `body_placements` gives them
+
 _SINGULAR = 1e-11  # of a squared unit direction: combinations of contact forces that exert nothing
 
 
@@ -69,7 +71,7 @@ class ContactForces:
                 to_body = np.einsum("ij...,jk...->ik...", base_to_body, samples.world_to_base)
             else:
                 to_body = frame.R[:, :, None]
-            linear, angular = self._contact_jacobian(contact, jacobians[frame.body], motion)
+            linear, angular = self._contact_jacobian(contact, jacobians[frame.body], placements, samples)
             coordinates = jacobians[frame.body].coordinates
             torque[coordinates] += np.einsum("ikn,in->kn", linear, rotate(to_body, force))
             torque[coordinates] += np.einsum("ikn,in->kn", angular, rotate(to_body, moment))
@@ -127,11 +129,12 @@ class ContactForces:
         if not are_all_closed:
             is_closed = _samples(motion).is_closed
         jacobians = self._jacobians(motion)
+        placements = body_placements(self.model, motion.q)
         directions = []
         for i in unknown:
             contact = self.contacts[i]
             jacobian = jacobians[self.model.frames[contact.link].body]
-            parts = self._contact_jacobian(contact, jacobian, motion)
+            parts = self._contact_jacobian(contact, jacobian, placements, _samples(motion))
             for part in parts if contact.kind == "surface" else parts[:1]:
                 full = np.zeros((3, nv, samples))
                 full[:, jacobian.coordinates] = part * is_closed[i]
@@ -143,21 +146,19 @@ class ContactForces:
         at_rest = np.zeros_like(motion.q)
         return body_jacobians(self.model, body_motions(self.model, motion.q, at_rest, at_rest))
 
-    def _contact_jacobian(self, contact: Contact, jacobian: BodyJacobian, motion: Motion) -> tuple[Array, Array]:
+    def _contact_jacobian(
+        self, contact: Contact, jacobian: BodyJacobian, placements: Placements, samples: ContactSamples
+    ) -> tuple[Array, Array]:
         """Linear and angular velocity of a contact along the axes of its body's frame, per coordinate, (3, c, N)."""
         frame = self.model.frames[contact.link]
-        point = frame.p + frame.R @ np.asarray(contact.point)
-        offset = point[:, None] - contact.radius * self._up(contact, motion) if contact.radius else point[:, None]
-        linear = jacobian.S_v + cross(jacobian.S_w, offset[:, None])
-        samples = motion.q.shape[1]
-        shape = (*jacobian.S_w.shape[:2], samples)
+        point = (frame.p + frame.R @ np.asarray(contact.point))[:, None]
+        if contact.radius:
+            base_to_body = placements[frame.body][0].transpose(2, 1, 0)
+            up = rotate(base_to_body, samples.world_to_base[:, 2])
+            point = point - contact.radius * up
+        linear = jacobian.S_v + cross(jacobian.S_w, point[:, None])
+        shape = (*jacobian.S_w.shape[:2], samples.is_closed.shape[1])
         return np.broadcast_to(linear, shape), np.broadcast_to(jacobian.S_w, shape)
-
-    def _up(self, contact: Contact, motion: Motion) -> Array:
-        """Upward unit vector in the frame of a contact's body, shape (3, N)."""
-        body = self.model.frames[contact.link].body
-        base_to_body = body_placements(self.model, motion.q)[body][0].transpose(2, 1, 0)
-        return rotate(base_to_body, _samples(motion).world_to_base[:, 2])
 
 
 def _samples(motion: Motion) -> ContactSamples:
