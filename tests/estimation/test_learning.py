@@ -114,7 +114,7 @@ def stream(sizes: list[int], runs: int = 1) -> Experiment:
         )
         return Run(signals, (slice(0, sum(sizes)),), ())
 
-    equation = SimpleNamespace(joints=("hip",), active=lambda: (np.arange(1),), filtered_rows=rows)
+    equation = SimpleNamespace(joints=("hip",), active=lambda: (np.arange(1),), filtered_rows=rows, contacts=None)
     logs = tuple(run(k * len(sizes)) for k in range(runs))
     return Experiment(*cast("Any", (SimpleNamespace(effects=()), None, equation, None, logs)))
 
