@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from idtool.diagnosis.effect_search import EffectSearch
-from idtool.diagnosis.error_summary import MAX_ERROR_RATIO, errors_of_fit, increases_error
+from idtool.diagnosis.error_summary import MAX_ERROR_RATIO, MAX_EXCUSED_RATIO, errors_of_fit, increases_error
 from idtool.diagnosis.extended_model import AddedEffect
 from idtool.diagnosis.held_out_error import held_out_log_change
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
@@ -24,8 +24,9 @@ def order_effects(search: EffectSearch, fits: StepFits) -> None:
     is missing, and from there to the first place where no step does. If there is none, it is removed. If moving has no
     end, the effect without which the error is least is removed. Three kinds of effects stay although they increase the
     error at their place: those that lower it only together with others, those that increase it by no more than chance
-    explains, and those that increase it only near reversals and lower it elsewhere. Near reversals the direction of
-    friction is uncertain, and chance decides whether an effect that shifts the jump of friction increases the error.
+    explains, and those that increase it by less than 1 %, only near reversals, and lower it elsewhere. Near reversals
+    the direction of friction is uncertain, and chance decides whether an effect that shifts the jump of friction
+    increases the error.
 
     Without held-out data, the error on the training data decides.
 
@@ -57,7 +58,7 @@ def order_effects(search: EffectSearch, fits: StepFits) -> None:
         if order is not None:
             search.reorder(order)
             return
-        if not _is_clearly_harmful(search, harmful, fits) or _helps_where_friction_is_known(search, harmful):
+        if _is_excused(search, harmful, fits):
             excused.append(harmful)
             continue
         fits.forget()
@@ -157,10 +158,14 @@ def _most_harmful(search: EffectSearch, fits: StepFits, excused: Collection[Adde
     return most_harmful
 
 
-def _is_clearly_harmful(search: EffectSearch, effect: AddedEffect, fits: StepFits) -> bool:
-    """True if an effect increases the error beside all others by more than chance explains."""
+def _is_excused(search: EffectSearch, effect: AddedEffect, fits: StepFits) -> bool:
+    """True if chance, or the uncertain friction at reversals, explains that an effect increases the error."""
     without = fits.summary_of(_others(search, effect))
-    return increases_error(without, fits.summary_of(search.reported))
+    with_all = fits.summary_of(search.reported)
+    if not increases_error(without, with_all):
+        return True
+    ratio = with_all.torque["overall"] / without.torque["overall"]
+    return ratio < MAX_EXCUSED_RATIO and _helps_where_friction_is_known(search, effect)
 
 
 def _helps_where_friction_is_known(search: EffectSearch, effect: AddedEffect) -> bool:

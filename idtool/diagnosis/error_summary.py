@@ -15,7 +15,7 @@ from idtool.estimation.fit import Fit
 MAX_ERROR_RATIO = 1.0005  # of the errors with an effect and without it, over all joints, that is no increase
 NEGLIGIBLE_SHARE = 3e-3  # of a joint's torque: a smaller error does not matter
 
-_MAX_CHANCE_RATIO = 1.01  # of these errors, that chance may explain
+MAX_EXCUSED_RATIO = 1.01  # of these errors, that chance or reversals may explain
 _MIN_INCREASE_SIGNIFICANCE = 2.0  # ratio of an increase to its standard error, that chance does not explain
 _MODEL = "model"
 _IDENTIFIED = "identified"
@@ -75,7 +75,7 @@ def increases_error(before: ErrorSummary, after: ErrorSummary) -> bool:
     the seconds of the logs. The noise of the strongest joints can outweigh the whole effect of an effect on a weak one.
     """
     ratio = after.torque["overall"] / before.torque["overall"] if before.torque["overall"] > 0 else 1.0
-    if not MAX_ERROR_RATIO < ratio < _MAX_CHANCE_RATIO:
+    if not MAX_ERROR_RATIO < ratio < MAX_EXCUSED_RATIO:
         return ratio > MAX_ERROR_RATIO
     if before.torque_squares_by_second is None or after.torque_squares_by_second is None:
         return True

@@ -862,13 +862,16 @@ def test_an_effect_that_helps_in_no_place_is_removed(tmp_path: Path, monkeypatch
     assert search.removed == ["Torque offset on j1 was removed again: it increases the error on the held-out data"]
 
 
-@pytest.mark.parametrize(("log_change", "left"), [(-0.5, [SPRING]), (-0.02, []), (0.5, [])])
-def test_an_effect_that_increases_the_error_only_at_reversals_stays_if_it_helps_elsewhere(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, log_change: float, left: list[Owner]
+@pytest.mark.parametrize(
+    ("error", "log_change", "left"),
+    [(1.008, -0.5, [SPRING]), (1.008, -0.02, []), (1.008, 0.5, []), (1.02, -0.5, [])],
+)
+def test_an_effect_that_increases_the_error_slightly_at_reversals_stays_if_it_helps_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: float, log_change: float, left: list[Owner]
 ) -> None:
     """By errors that are given here: with the effect, they are larger if all samples count."""
     search = search_with(experiment_of(tmp_path, spring, rows=slice(4000)), [SPRING])
-    give_errors(monkeypatch, [1.2])
+    give_errors(monkeypatch, [error])
     monkeypatch.setattr(effect_order, "held_out_log_change", lambda before, after, row_equation: log_change)
     order_effects(search, StepFits(search, fit(search.current.experiment, silent)))
     assert owners(search) == left
