@@ -116,7 +116,11 @@ class Batch:
     @property
     def t(self) -> Array:
         """Times of the filtered samples since the log's first [s], shape (n,)."""
-        return self.motion.t[self.before : len(self.motion.t) - self.after : self.low_pass.stride]
+        return self.at_filtered_samples(self.motion.t)
+
+    def at_filtered_samples(self, x: Array) -> Array:
+        """Unfiltered values at the times of the filtered samples, from shape (..., before + N + after) to (..., n)."""
+        return x[..., self.before : len(self.motion.t) - self.after : self.low_pass.stride]
 
 
 class Signals:

@@ -16,7 +16,7 @@ from scipy import ndimage
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.column_cache import IdentityKey
 from idtool.data.signals import Batch, Motion, reversals
-from idtool.dynamics.contact_forces import ContactForces
+from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.named_effect import NamedEffect
@@ -54,7 +54,7 @@ class LinearModel:
     joints: tuple[str, ...]
     effects: tuple[Effect, ...]
     operating_point: OperatingPoint = field(default_factory=dict)
-    contacts: ContactForces | None = None
+    contacts: ContactModel | None = None
     _true_motions: dict[IdentityKey[Motion], Motion] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -209,11 +209,11 @@ class LinearModel:
                 part.append(columns)
         return [np.concatenate([*part, row[None]]) for part, row in zip(parts, tau, strict=True)]
 
-    def _projected_columns(self, batch: Batch, contacts: ContactForces) -> list[Array]:
+    def _projected_columns(self, batch: Batch, contacts: ContactModel) -> list[Array]:
         """`filtered_columns` without what unknown contact forces can exert."""
         return self._projected_by(self._projector(batch.motion, contacts), batch, contacts)
 
-    def _projected_by(self, projector: Array, batch: Batch, contacts: ContactForces) -> list[Array]:
+    def _projected_by(self, projector: Array, batch: Batch, contacts: ContactModel) -> list[Array]:
         """Filtered columns and torque behind a projector."""
         true = self.true_motion(batch.motion)
         filtered = []
@@ -222,12 +222,12 @@ class LinearModel:
             for first in range(0, len(effect.coefficients), _PROJECTED_TOGETHER):
                 chosen = range(first, min(first + _PROJECTED_TOGETHER, len(effect.coefficients)))
                 rows = _rows_of(effect, own_columns, chosen)
-                filtered.append(batch.filter(contacts.projected(projector, rows)))
-        tau = batch.filter(contacts.projected(projector, self._identified_torque(true)))
+                filtered.append(batch.filter(contacts.project(projector, rows)))
+        tau = batch.filter(contacts.project(projector, self._identified_torque(true)))
         columns = np.concatenate([*filtered, tau[:, None]], axis=1)
         return list(columns)
 
-    def _projector(self, motion: Motion, contacts: ContactForces) -> Array:
+    def _projector(self, motion: Motion, contacts: ContactModel) -> Array:
         """Projector onto what unknown forces cannot exert along a motion, shape (N, nv, nv)."""
         resting = {}
         for joint, masks in self._invalid_masks_along(motion).items():
@@ -264,7 +264,7 @@ class LinearModel:
         """Torque of a true motion less that without a coefficient, shape (nv, N)."""
         fixed = self._fixed_torque(motion)
         torque = motion.tau if fixed is None else motion.tau - fixed
-        return torque if self.contacts is None else torque + self.contacts.measured_torque(motion)
+        return torque if self.contacts is None else torque + self.contacts.measured_force(motion)
 
     def _fixed_torque(self, motion: Motion) -> Array | None:
         """Torque of the effects without a coefficient, shape (nv, N)."""
@@ -456,12 +456,12 @@ class LinearModel:
                 predicted = effect.apply_sensor(predicted, batch.motion)
         return batch.filter(measured.tau), predicted
 
-    def _torques_without_contacts(self, batch: Batch, theta: Array, contacts: ContactForces) -> tuple[Array, Array]:
+    def _torques_without_contacts(self, batch: Batch, theta: Array, contacts: ContactModel) -> tuple[Array, Array]:
         """`compared_torques` that differ by what no unknown contact force explains."""
         true = self.true_motion(batch.motion)
         projector = self._projector(batch.motion, contacts)
         error = self._identified_torque(true) - self._predicted_by_columns(batch.motion, theta)
-        unexplained = contacts.projected(projector, np.moveaxis(error, -2, 0))
+        unexplained = contacts.project(projector, np.moveaxis(error, -2, 0))
         measured = batch.filter(true.tau)
         return measured, measured - batch.filter(np.moveaxis(unexplained, 0, -2))
 

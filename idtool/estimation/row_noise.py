@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.dynamics.contact_forces import ContactForces
+from idtool.dynamics.contact_model import ContactModel
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
@@ -43,7 +43,7 @@ def with_row_noise(experiment: Experiment, progress: Progress) -> tuple[Experime
     return experiment, data
 
 
-def _row_noise(experiment: Experiment, contacts: ContactForces, reduction: Reduction) -> Array:
+def _row_noise(experiment: Experiment, contacts: ContactModel, reduction: Reduction) -> Array:
     """Noise of every row, shape (nv,); as before where contact forces leave next to nothing of a row."""
     noise = free_noise(experiment.equation, reduction, experiment.equalities)
     rows = np.array([factor.rows for factor in reduction])

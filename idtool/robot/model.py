@@ -96,6 +96,11 @@ class RobotModel:
         """Unit of each joint's torque or force."""
         return {joint.name: "N" if joint.kind == "prismatic" else "N·m" for joint in self.joints}
 
+    @property
+    def mass(self) -> float:
+        """Mass of all bodies by their prior [kg]."""
+        return float(sum(body.pi[0] for body in self.bodies))
+
     def support(self) -> Mask:
         """Mask of the coordinates that move each body, shape (bodies, nv)."""
         support = np.zeros((len(self.bodies), len(self.joints)), dtype=bool)

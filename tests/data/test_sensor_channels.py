@@ -55,7 +55,7 @@ def test_csv_has_the_channels_with_their_own_stamps(tmp_path: Path) -> None:
     assert set(log.channels) == {"imu_wx", "contact_foot"}
     needed = with_sensors(log, ["imu_wx", "contact_foot"])
     np.testing.assert_allclose(needed.channels["imu_wx"].at(log.t), np.arange(20), atol=1e-9)
-    assert needed.channels["contact_foot"].latest(np.array([0.0105, 0.021])).tolist() == [1.0, 0.0]
+    assert needed.channels["contact_foot"].is_set(np.array([0.0105, 0.021])).tolist() == [True, False]
     (notice,) = [one for one in log.notices if one.code == "unused_columns"]
     assert notice.message.endswith("temperature")
 
@@ -204,4 +204,4 @@ def test_flag_of_another_clock_is_refused() -> None:
 def test_flag_is_set_before_its_first_value() -> None:
     """A flag that is logged when it changes: the foot is lifted after a second."""
     log = with_sensors(log_of({"contact_foot": Channel(np.array([1.0]), np.array([0.0]))}), ["contact_foot"])
-    assert log.channels["contact_foot"].latest(np.array([0.5, 1.5])).tolist() == [1.0, 0.0]
+    assert log.channels["contact_foot"].is_set(np.array([0.5, 1.5])).tolist() == [True, False]

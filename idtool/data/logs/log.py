@@ -21,6 +21,7 @@ from idtool.data.logs.times import suspected_unit, time_unit_notice
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
 
+_SET = 0.5  # value of a flag, above which it is set
 _RECOVERY = 20  # samples before and after a long step that decide whether it is a gap
 _BLOCK = 1 << 15  # samples checked together
 
@@ -44,10 +45,23 @@ class Channel:
         """Interpolated values at times [s], shape (N,)."""
         return np.interp(t, self.t, self.x)
 
-    def latest(self, t: Array) -> Array:
-        """The latest value at times [s], shape (N,)."""
-        index = np.searchsorted(self.t, t, side="right") - 1
-        return np.asarray(self.x[np.maximum(index, 0)])
+    def is_set(self, t: Array, widen: float = 0.0) -> Mask:
+        """True at times [s], shape (N,), at which a flag is set; it keeps a value until the next.
+
+        Parameters
+        ----------
+        t
+            The times.
+        widen
+            Time [s] by which it counts as set before it is, and after it was.
+        """
+        set_times = self.t[self.x > _SET]
+        first = np.searchsorted(set_times, t - widen)
+        stop = np.searchsorted(set_times, t + widen, side="right")
+        is_set_within = stop > first
+        latest_before = np.searchsorted(self.t, t - widen, side="right") - 1
+        was_set_before = self.x[np.maximum(latest_before, 0)] > _SET
+        return np.asarray(is_set_within | was_set_before)
 
 
 @dataclass(frozen=True)

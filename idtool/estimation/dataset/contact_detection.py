@@ -1,8 +1,9 @@
-"""Contacts by the torque of a leg's own joints: where no flag was logged, and as a check of those that were.
+"""Detects the contacts of feet by the torque of their legs, where no flag was logged, and checks flags that were.
 
-The joints of a leg carry the force on its foot: −F = (J Jᵀ)⁻¹ J (tau − Y pi), with the original URDF's pi. Links that
-are a third too heavy, or dry friction that the URDF lacks, are worth a few newtons, so that a force of a twentieth of
-the weight tells a contact.
+A force F on a foot changes the torque of its leg's joints by −Jᵀ F, with the foot's Jacobian J, shape (3, joints). So
+F = −(J Jᵀ)⁻¹ J e, where e is the measured torque less that of the original URDF's inverse dynamics. Links that are a
+third too heavy, or friction that the URDF lacks, are worth a few hundredths of the robot's weight; more tells a
+contact.
 """
 
 from __future__ import annotations
@@ -15,136 +16,146 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
-from idtool.data.base_sensors import base_sensors
+from idtool.data.base_sensors import BaseSensors
 from idtool.data.logs.log import Channel, JointLog
 from idtool.data.signals import Batch, Signals
-from idtool.dynamics.contact_forces import ContactForces
+from idtool.dynamics.contact_model import ContactModel
 from idtool.robot.config import Config, Contact
 from idtool.robot.inverse_dynamics import inverse_dynamics
 from idtool.robot.model import RobotModel
 
-_CLOSED = 0.05  # of the weight, from which a force tells a contact
-_LOADED = 0.15  # of the weight, from which a force without a flag is no error of the URDF
-_MAX_LOADED_SHARE = 0.02  # of the time, that a foot may be loaded without a flag
-_MAX_UNLOADED_SHARE = 0.3  # of the time, that a foot may have its flag without a load
-_ALWAYS = 0.98  # share of the time, from which a flag is always set
-_JOINTS = 3  # of a leg, that tell the force on its foot
+_MIN_CONTACT_LOAD = 0.05  # of the weight, from which a force tells a contact
+_MIN_UNFLAGGED_LOAD = 0.15  # of the weight, from which a force without a flag is more than an error of the URDF
+_MAX_UNFLAGGED_SHARE = 0.02  # of the time, for such a load
+_MAX_UNLOADED_SHARE = 0.3  # of the time, for a flag that is always set while the leg carries no load
+_MIN_ALWAYS_SHARE = 0.98  # of the time, from which a flag is always set
+_MIN_LEG_JOINTS = 3  # that determine the force on a foot
+_MIN_GRAM = 1e-9  # m², added to J Jᵀ, which is singular for a straight leg
 
 
 @dataclass(frozen=True)
-class FootForces:
-    """Size of the forces on some feet by the torque of their legs.
+class FootLoads:
+    """Sizes of the forces on some feet by the torque of their legs, in units of the robot's weight.
 
     Attributes
     ----------
-    contacts
+    feet
         The feet.
     t
-        Times [s], shape (N,).
-    size
-        Shape (feet, N) [N].
+        Times by the log's stamps [s], shape (N,).
+    load
+        Force over weight, shape (feet, N).
     """
 
-    contacts: tuple[Contact, ...]
+    feet: tuple[Contact, ...]
     t: Array
-    size: Array
-
-
-def foot_forces(signals: Signals, model: RobotModel, contacts: Sequence[Contact]) -> FootForces:
-    """Forces on the feet of a robot in a log.
-
-    Parameters
-    ----------
-    signals
-        The log.
-    model
-        The tree of bodies, with the parameters of the URDF.
-    contacts
-        All contacts of the robot; those on links that fewer than three joints move are left out.
-    """
-    feet = tuple(contact for contact in contacts if is_detectable(contact, model))
-    unconditional = tuple(contact.model_copy(update={"flag": None, "force": None, "moment": None}) for contact in feet)
-    forces = ContactForces(model, unconditional, np.ones(len(model.joints)))
-    pi = np.stack([body.pi for body in model.bodies])
-    times = [np.zeros(0)]
-    sizes = [np.zeros((len(feet), 0))]
-    for batch in signals.batches():
-        t, size = _forces_in_batch(batch, model, pi, forces)
-        times.append(t)
-        sizes.append(size)
-    return FootForces(feet, np.concatenate(times), np.concatenate(sizes, axis=1))
+    load: Array
 
 
 def with_detected_contacts(log: JointLog, model: RobotModel, config: Config) -> JointLog:
-    """The log with a flag for every contact whose flag is ``auto``, and with notices about flags.
+    """The log with a flag for every contact whose flag is ``auto``, and with notices about all flags of feet.
 
     Parameters
     ----------
     log
         The log, with the sensors of the base.
     model
-        The tree of bodies.
+        The tree of bodies, with the parameters of the URDF.
     config
-        The configuration.
+        The configuration, whose contacts with the flag ``auto`` are feet for `is_foot`.
     """
-    if not any(contact.flag is not None and is_detectable(contact, model) for contact in config.contacts):
+    feet = tuple(contact for contact in config.contacts if contact.flag is not None and is_foot(contact, model))
+    if not feet:
         return log
-    signals = Signals(log, model.joint_names, config, base_sensors(log, model, config))
-    found = foot_forces(signals, model, config.contacts)
-    if not len(found.t):  # too short; what reads it next says so
-        return log
-    weight = 9.81 * sum(float(body.pi[0]) for body in model.bodies)
+    found = foot_loads(log, model, config, feet)
     channels = dict(log.channels)
-    closed = []
     notices = []
-    for contact, size in zip(found.contacts, found.size, strict=True):
-        if contact.is_detected:
-            flag = size > _CLOSED * weight
-            channels[str(contact.flag_channel)] = Channel(found.t + log.start, flag.astype(float))
-            closed.append(f"{contact.name} for {100 * flag.mean():.0f} %")
-        elif contact.flag is not None:
-            notices += _flag_findings(contact, log.channels[contact.flag], found.t + log.start, size / weight)
-    if closed:
-        message = f"contacts were detected by the torque of the legs; they are closed {join_names(closed)} of the time"
+    shares = []
+    for foot, load in zip(found.feet, found.load, strict=True):
+        if foot.has_automatic_flag:
+            is_loaded = load > _MIN_CONTACT_LOAD
+            channels[str(foot.flag_channel)] = Channel(found.t, is_loaded.astype(float))
+            shares.append(f"{foot.name} for {100 * is_loaded.mean():.0f} %")
+            continue
+        notice = _flag_notice(foot, log.channels[str(foot.flag_channel)], found.t, load)
+        if notice is not None:
+            notices.append(notice)
+    if shares:
+        message = f"contacts were detected by the torque of the legs; they are closed {join_names(shares)} of the time"
         advice = "log the contact flags or the foot forces if the robot has them"
         notices.append(Notice("contacts_detected", "note", None, message, advice))
     return replace(log, channels=channels, notices=(*log.notices, *notices))
 
 
-def is_detectable(contact: Contact, model: RobotModel) -> bool:
+def is_foot(contact: Contact, model: RobotModel) -> bool:
     """True for a point on a link that at least three joints move, whose torque tells the force."""
     body = model.frames[contact.link].body
-    joints = model.support()[body, : model.joint_count].sum()
-    return contact.kind == "point" and joints >= _JOINTS
+    joints_that_move_it = model.support()[body, : model.joint_count]
+    return contact.kind == "point" and joints_that_move_it.sum() >= _MIN_LEG_JOINTS
 
 
-def _forces_in_batch(batch: Batch, model: RobotModel, pi: Array, forces: ContactForces) -> tuple[Array, Array]:
-    """Times of the filtered samples, shape (n,), and size of the force on each foot, shape (feet, n)."""
+def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[Contact]) -> FootLoads:
+    """Loads of some feet in a log, by the torque of their legs.
+
+    Parameters
+    ----------
+    log
+        The log, with the sensors of the base.
+    model
+        The tree of bodies, with the parameters of the URDF.
+    config
+        The configuration.
+    feet
+        The feet, whose flags and measured forces do not count.
+    """
+    always_unknown = tuple(foot.with_unknown_wrench().model_copy(update={"flag": None}) for foot in feet)
+    settings = config.model_copy(update={"contacts": always_unknown})
+    signals = Signals(log, model.joint_names, settings, BaseSensors.of_log(log, model, settings))
+    contact_model = ContactModel(model, always_unknown, noise=np.ones(len(model.joints)))
+    times = []
+    forces = []
+    for batch in signals.batches():
+        times.append(log.start + batch.t)
+        forces.append(_foot_forces(batch, model, contact_model))
+    if not times:  # too short for the filter, which the fit says; then all feet count as loaded
+        return FootLoads(tuple(feet), np.array([log.start]), np.ones((len(feet), 1)))
+    weight = float(np.linalg.norm(config.gravity)) * model.mass
+    return FootLoads(tuple(feet), np.concatenate(times), np.concatenate(forces, axis=1) / weight)
+
+
+def _foot_forces(batch: Batch, model: RobotModel, contact_model: ContactModel) -> Array:
+    """Size of the force on each foot at the filtered samples of a batch, shape (feet, n) [N]."""
     motion = batch.motion
-    unexplained = batch.filter(motion.tau - inverse_dynamics(model, pi, motion.q, motion.v, motion.a))
-    inner = slice(batch.before, len(motion.t) - batch.after, batch.low_pass.stride)
-    directions = forces.unknown_directions(motion, are_all_closed=True)[:, : model.joint_count, inner]
-    sizes = []
-    for foot in range(len(forces.contacts)):
-        J = np.moveaxis(directions[3 * foot : 3 * foot + 3], -1, 0)  # (n, 3, joints)
-        of_leg = J @ unexplained[: model.joint_count].T[:, :, None]
-        gram = J @ J.transpose(0, 2, 1)
-        gram += 1e-9 * np.eye(3)  # a straight leg
-        sizes.append(np.linalg.norm(np.linalg.solve(gram, of_leg)[:, :, 0], axis=1))
-    return batch.t, np.array(sizes)
+    pi = np.stack([body.pi for body in model.bodies])
+    by_urdf = inverse_dynamics(model, pi, motion.q, motion.v, motion.a)
+    unexplained = batch.filter(motion.tau - by_urdf)[: model.joint_count]
+    unexplained_columns = unexplained.T[:, :, None]  # (n, joints, 1)
+    directions = batch.at_filtered_samples(contact_model.unknown_directions(motion))
+    by_joints = directions[:, : model.joint_count]
+    forces = []
+    for foot in range(len(contact_model.contacts)):
+        components = slice(3 * foot, 3 * foot + 3)
+        J = np.moveaxis(by_joints[components], -1, 0)  # (n, 3, joints)
+        gram = J @ J.transpose(0, 2, 1) + _MIN_GRAM * np.eye(3)
+        force = np.linalg.solve(gram, J @ unexplained_columns)[:, :, 0]
+        forces.append(np.linalg.norm(force, axis=1))
+    return np.array(forces)
 
 
-def _flag_findings(contact: Contact, flag: Channel, t: Array, load: Array) -> list[Notice]:
-    """Notices about a flag that is always set, or not set under load; ``load`` is a share of the weight, shape (N,)."""
-    is_set = flag.latest(t) > 0.5
-    is_widened = (flag.latest(t - contact.widen) > 0.5) | (flag.latest(t + contact.widen) > 0.5) | is_set
-    if is_set.mean() > _ALWAYS and (load < _CLOSED).mean() > _MAX_UNLOADED_SHARE:
-        unloaded = f"{100 * (load < _CLOSED).mean():.0f} % of the time, its leg carries no load"
-        message = f"the flag is always set, but {unloaded}: this costs accuracy"
-        return [Notice("contact_always_closed", "warning", contact.name, message, "log when the foot is on the ground")]
-    loaded_share = float((~is_widened & (load > _LOADED)).mean())
-    if loaded_share > _MAX_LOADED_SHARE:
-        message = f"{100 * loaded_share:.0f} % of the time, its leg carries a load while the flag is not set"
+def _flag_notice(foot: Contact, flag: Channel, t: Array, load: Array) -> Notice | None:
+    """Notice about a foot's flag that is always set, or not set under load; None if it fits the load, shape (N,)."""
+    set_share = flag.is_set(t).mean()
+    unloaded_share = (load < _MIN_CONTACT_LOAD).mean()
+    if set_share > _MIN_ALWAYS_SHARE and unloaded_share > _MAX_UNLOADED_SHARE:
+        message = (
+            f"the flag is always set, but its leg carries no load {100 * unloaded_share:.0f} % of the time: this costs "
+            "accuracy"
+        )
+        return Notice("contact_always_closed", "warning", foot.name, message, "log when the foot is on the ground")
+    is_unflagged_load = (load > _MIN_UNFLAGGED_LOAD) & ~flag.is_set(t, foot.widen)
+    unflagged_share = is_unflagged_load.mean()
+    if unflagged_share > _MAX_UNFLAGGED_SHARE:
+        message = f"{100 * unflagged_share:.0f} % of the time, its leg carries a load while the flag is not set"
         advice = "lower the threshold of the flag, check its sign and its time, or set flag: auto"
-        return [Notice("contact_without_flag", "warning", contact.name, message, advice)]
-    return []
+        return Notice("contact_without_flag", "warning", foot.name, message, advice)
+    return None

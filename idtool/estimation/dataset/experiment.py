@@ -13,19 +13,19 @@ from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.data.base_sensors import base_sensors, needed_channels, sensor_options, sensor_step
+from idtool.data.base_sensors import BaseSensors, imu_step, needed_channels, sensor_options
 from idtool.data.controller import without_constant_torque
 from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.sensor_channels import with_sensors
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
 from idtool.data.signals import Batch, Signals, default_cutoff
-from idtool.dynamics.contact_forces import ContactForces
+from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
-from idtool.estimation.dataset.contact_detection import is_detectable, with_detected_contacts
+from idtool.estimation.dataset.contact_detection import is_foot, with_detected_contacts
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.imu_delay import with_imu_delay
 from idtool.estimation.dataset.reduction import Reduction, empty
@@ -331,7 +331,7 @@ def prepare(
     if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
         band = min(default_cutoff(log.dt) for log in every)
         if model.has_floating_base:
-            band = min(band, *(default_cutoff(sensor_step(log)) for log in every))
+            band = min(band, *(default_cutoff(imu_step(log)) for log in every))
         config = config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": band})})
     runs = [_split(signals_of(log, model, config), 0.0 if validate else holdout) for log in fitted]
     runs += [_split(signals_of(log, model, config), 1.0) for log in validated]
@@ -346,7 +346,7 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
     LogError
         If it lacks a signal of a joint or of a sensor of the base.
     """
-    sensors = base_sensors(log, model, config)
+    sensors = BaseSensors.of_log(log, model, config)
     signals = Signals(log, model.joint_names, config, sensors)
     if sensors is not None:
         signals.notices += imu_findings(log)
@@ -356,12 +356,12 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
 def _check_detected_contacts(model: RobotModel, config: Config) -> None:
     """Refuse to detect a contact by the torque of a leg that does not tell the force."""
     for i, contact in enumerate(config.contacts):
-        if contact.is_detected and not is_detectable(contact, model):
+        if contact.has_automatic_flag and not is_foot(contact, model):
             what = "is for points on links that at least three joints move; name the channel of a flag, or leave it out"
             raise ConfigError(f"contacts.{i}.flag: auto", what)
 
 
-def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> ContactForces | None:
+def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> ContactModel | None:
     """The contacts of a robot with a floating base; noise of rows that is not configured is guessed from its torque."""
     if not model.has_floating_base:
         return None
@@ -371,7 +371,7 @@ def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> Co
         if name not in model.names:
             raise ConfigError(f"base.noise: {name}", f"is not a row of the equation; {suggestion(name, model.names)}")
         noise[model.names.index(name)] = value
-    return ContactForces(model, config.contacts, noise)
+    return ContactModel(model, config.contacts, noise)
 
 
 def _torques(log: JointLog, joints: Sequence[str]) -> Array:

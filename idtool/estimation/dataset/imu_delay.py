@@ -1,7 +1,7 @@
-"""Delay of an IMU against the joints, from a robot that stands.
+"""Estimates how late an IMU is against the joints, from a robot that stands.
 
-While three feet or more are on the ground and do not slip, the joints' velocities determine how the base turns. The
-gyroscope measures the same, later.
+Feet that are on the ground and do not slip determine how the base turns with the joints: J_base v = −J_joints dq/dt.
+The gyroscope measures the same, later.
 """
 
 from __future__ import annotations
@@ -10,136 +10,170 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import binary_erosion
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.notice import Notice
-from idtool.data.base_sensors import GYROSCOPE, BaseSensors
+from idtool.data.base_sensors import BaseSensors
 from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import JointLog
 from idtool.data.signals import Motion
-from idtool.dynamics.contact_forces import ContactForces
+from idtool.dynamics.contact_model import ContactModel
 from idtool.robot.config import Config, Contact
-from idtool.robot.model import RobotModel
+from idtool.robot.model import BASE_COORDINATES, RobotModel
 
-_MAX_SAMPLES = 30_000
+_MAX_SAMPLES = 30_000  # of a log's longest segment, from its start, which bounds memory and time
 _MIN_SECONDS = 3.0  # of standing
-_EROSION = 0.1  # s, at the ends of a contact in which a foot may slip
-_MIN_RANK_RATIO = 1e-3  # of the least to the largest singular value, with which closed feet determine the base's motion
+_CONTACT_EDGE = 0.1  # s, after each touchdown and before each lift-off, in which a foot may slip
+_MIN_RANK_RATIO = 1e-3  # of the least to the largest singular value of J_base, with which feet determine its motion
 _MIN_AGREEMENT = 0.8  # share of the gyroscope's power that the joints must explain
-_MIN_SIGNIFICANCE = 3.0  # ratio of a delay to its standard error
-_COMPLIANCE = 1e-3  # s, by which soft feet let the base follow the joints late or early
+_MIN_SIGNIFICANCE = 3.0  # ratio of a difference to its standard error, from which it is one
+_ERROR_BY_SOFT_FEET = 1e-3  # s, by which soft feet let the base follow the joints early or late
+_BASE = len(BASE_COORDINATES)
 
 
 @dataclass(frozen=True)
 class ImuDelay:
-    """How late an IMU is against the joints, with its standard error [s]."""
+    """Delay of an IMU against the joints, with its standard error [s]: what happens at t is stamped t + value."""
 
     value: float
     standard_error: float
 
     @property
     def text(self) -> str:
-        """The delay in words."""
+        """The delay with its error and unit."""
         return f"{1e3 * self.value:.2f} ± {1e3 * self.standard_error:.2f} ms"
 
 
 def with_imu_delay(config: Config, model: RobotModel, logs: Sequence[JointLog]) -> tuple[Config, list[Notice]]:
-    """The configuration with the IMU's delay, where it is determined, and notices about it.
+    """The configuration with the estimated delay of the IMU, and notices about it.
 
     Parameters
     ----------
     config
-        The configuration of a robot with a floating base; a delay of ``auto`` is determined.
+        The configuration of a robot with a floating base. A delay of ``auto`` is replaced by the estimate if that
+        differs from 0 by three standard errors; a number is only checked.
     model
         The tree of bodies.
     logs
-        The logs, with the sensors of the base.
+        The logs, with the sensors of the base and the flags of all contacts.
     """
-    delay = imu_delay(logs, model, config)
-    given = config.base.imu.delay
-    used = 0.0 if given == "auto" else float(given)
-    if delay is None or abs(delay.value - used) < _MIN_SIGNIFICANCE * delay.standard_error:
+    delay = estimate_imu_delay(config, model, logs)
+    present_delay = config.base.imu.known_delay
+    if delay is None:
         return config, []
-    if given != "auto":
-        message = f"it is {delay.text} late against the joints; a delay of {1e3 * used:.3g} ms is given"
+    difference = abs(delay.value - present_delay)
+    if difference < _MIN_SIGNIFICANCE * delay.standard_error:
+        return config, []
+    if config.base.imu.delay != "auto":
+        message = f"it is {delay.text} late against the joints; a delay of {1e3 * present_delay:.3g} ms is given"
         return config, [Notice("imu_delay", "warning", "imu", message, "set base.imu.delay to auto")]
     message = f"it is {delay.text} late against the joints; idtool corrects it"
     imu = config.base.imu.model_copy(update={"delay": delay.value})
-    corrected = config.model_copy(update={"base": config.base.model_copy(update={"imu": imu})})
+    base = config.base.model_copy(update={"imu": imu})
+    corrected = config.model_copy(update={"base": base})
     return corrected, [Notice("imu_delay", "note", "imu", message)]
 
 
-def imu_delay(logs: Sequence[JointLog], model: RobotModel, config: Config) -> ImuDelay | None:
-    """Delay of the IMU by all logs; None if the robot does not stand in any, or hardly turns."""
-    mean = _mean([found for log in logs if (found := _delay_in_log(log, model, config)) is not None])
-    return mean and replace(mean, standard_error=float(np.hypot(mean.standard_error, _COMPLIANCE)))
+def estimate_imu_delay(config: Config, model: RobotModel, logs: Sequence[JointLog]) -> ImuDelay | None:
+    """Delay of the IMU by all logs; None if the robot does not stand in any, or hardly turns.
+
+    Its standard error is that by noise and by soft feet.
+    """
+    by_log = [_delay_in_log(config, model, log) for log in logs]
+    mean = _mean([delay for delay in by_log if delay is not None])
+    if mean is None:
+        return None
+    standard_error = float(np.hypot(mean.standard_error, _ERROR_BY_SOFT_FEET))
+    return replace(mean, standard_error=standard_error)
 
 
-def _delay_in_log(log: JointLog, model: RobotModel, config: Config) -> ImuDelay | None:
-    """Delay of the IMU in a log, with the error by noise; None if the log does not tell it."""
-    feet = tuple(contact for contact in config.contacts if _is_flagged_foot(contact, model))
-    if not feet:
+def _delay_in_log(config: Config, model: RobotModel, log: JointLog) -> ImuDelay | None:
+    """Delay of the IMU in a log, with its error by noise alone; None if the log does not tell it."""
+    flagged = [contact for contact in config.contacts if _is_flagged_foot(contact, model)]
+    if not flagged:
         return None
-    segment = max(log.segments, key=lambda s: s.stop - s.start)
-    samples = slice(segment.start, min(segment.stop, segment.start + _MAX_SAMPLES))
-    directions, q_rate = _foot_directions(log, model, config, feet, samples)
-    part = _longest_run(_stands(directions))
-    if (part.stop - part.start) * log.dt < _MIN_SECONDS:
+    feet = tuple(foot.with_unknown_wrench().model_copy(update={"widen": 0.0}) for foot in flagged)
+    # orientation and gyroscope as they are stamped
+    imu = config.base.imu.model_copy(update={"delay": 0.0})
+    base = config.base.model_copy(update={"imu": imu})
+    settings = config.model_copy(update={"base": base, "contacts": feet})
+    sensors = BaseSensors.of_log(log, model, settings)
+    if sensors is None:
         return None
-    turning = _base_turning(directions[:, :, part], q_rate[:, part])
-    t = log.t[samples][part]
-    measured = np.stack([log.channels[name].at(t) for name in GYROSCOPE])
-    to_base = model.frames[config.base.imu.link or model.robot.root].R
-    agreements = []
-    for own, of_joints in zip(to_base @ measured, turning, strict=True):
-        agreement = velocity_agreement(np.cumsum(of_joints) * log.dt, own, log.dt)
-        if agreement.agreement > _MIN_AGREEMENT:
-            agreements.append(ImuDelay(agreement.lag - log.dt / 2, agreement.lag_error))  # a sum is half a sample early
-    return _mean(agreements)
+
+    longest = max(log.segments, key=lambda segment: segment.stop - segment.start)
+    samples = slice(longest.start, min(longest.stop, longest.start + _MAX_SAMPLES))
+    q = _positions(log, model, samples)
+    J = _feet_jacobian(model, sensors, feet, log, samples, q)
+    standing = _longest_run(_determines_base(J))
+    if (standing.stop - standing.start) * log.dt < _MIN_SECONDS:
+        return None
+    q_rate = np.gradient(q, log.dt, axis=1)
+    expected_rates = _base_angular_velocity(J[:, :, standing], q_rate[:, standing])
+    t_standing = log.t[samples][standing]
+    measured_rates = sensors.angular_velocity(t_standing)
+    by_axis = []
+    for measured, expected in zip(measured_rates, expected_rates, strict=True):
+        angle = cumulative_trapezoid(expected, dx=log.dt, initial=0)
+        match = velocity_agreement(angle, measured, log.dt)
+        if match.agreement > _MIN_AGREEMENT:
+            by_axis.append(ImuDelay(match.lag, match.lag_error))
+    return _mean(by_axis)
 
 
 def _is_flagged_foot(contact: Contact, model: RobotModel) -> bool:
-    """True for a contact that is on a moving link, and of which the log tells when it is closed."""
-    return contact.flag is not None and not model.bodies[model.frames[contact.link].body].is_base
+    """True for a contact that is on a moving link, and of which a flag tells when it is closed."""
+    body = model.bodies[model.frames[contact.link].body]
+    return contact.flag is not None and not body.is_base
 
 
-def _foot_directions(
-    log: JointLog, model: RobotModel, config: Config, feet: tuple[Contact, ...], samples: slice
-) -> tuple[Array, Array]:
-    """Velocity of each component of the closed feet per coordinate, shape (k, nv, N), and dq/dt, shape (nv, N)."""
+def _positions(log: JointLog, model: RobotModel, samples: slice) -> Array:
+    """Positions of all coordinates, shape (nv, N); those of the base are 0, so that all is along its axes."""
     columns = [log.joints.index(name) for name in model.joint_names]
-    q = np.zeros((len(model.joints), samples.stop - samples.start))
-    q[: model.joint_count] = log.signals["q"][samples][:, columns].T
-    rate = np.gradient(q, log.dt, axis=1)
-    unwidened = tuple(
-        contact.model_copy(update={"widen": 0.0, "force": None, "moment": None, "frame": "link"}) for contact in feet
-    )
-    imu = config.base.imu.model_copy(update={"delay": 0.0})
-    base = config.base.model_copy(update={"imu": imu})
-    settings = config.model_copy(update={"contacts": unwidened, "base": base})
-    frame = model.frames[config.base.imu.link or model.robot.root]
-    t = log.t[samples]
-    contacts = BaseSensors(log, settings, frame).contacts(t, lambda x: x)
-    reach = max(round(_EROSION / log.dt), 1)
-    closed = np.stack([binary_erosion(row, iterations=reach) for row in contacts.is_closed])
+    of_joints = log.signals["q"][samples][:, columns].T
+    of_base = np.zeros((_BASE, of_joints.shape[1]))
+    return np.concatenate([of_joints, of_base])
+
+
+def _feet_jacobian(
+    model: RobotModel, sensors: BaseSensors, feet: tuple[Contact, ...], log: JointLog, samples: slice, q: Array
+) -> Array:
+    """Jacobian of all feet, shape (k, nv, N); the rows of a foot are 0 where it is open, or has just been.
+
+    The generalized force per unit of a contact force is also the velocity of the contact per unit of each coordinate's.
+    """
+    contacts = sensors.contacts(log.t[samples], lambda signal: signal)
+    edge = max(round(_CONTACT_EDGE / log.dt), 1)
+    is_settled = [binary_erosion(is_closed, iterations=edge) for is_closed in contacts.is_closed]
     zero = np.zeros_like(q)
-    motion = Motion(t, q, zero, zero, zero, zero, np.ones(len(q)), log.dt, contacts=replace(contacts, is_closed=closed))
-    return ContactForces(model, unwidened, np.ones(len(q))).unknown_directions(motion), rate
+    motion = Motion(
+        t=log.t[samples],
+        q=q,
+        v=zero,
+        a=zero,
+        tau=zero,
+        logged_tau=zero,
+        velocity_deadband=np.ones(len(q)),
+        dt=log.dt,
+        contacts=replace(contacts, is_closed=np.stack(is_settled)),
+    )
+    return ContactModel(model, feet, noise=np.ones(len(q))).unknown_directions(motion)
 
 
-def _stands(directions: Array) -> Mask:
-    """True for samples at which closed feet determine the motion of the base, shape (N,)."""
-    of_base = np.moveaxis(directions[:, -6:], -1, 0)  # (N, k, 6)
-    if of_base.shape[1] < of_base.shape[2]:
-        return np.zeros(len(of_base), dtype=bool)
-    singular = np.linalg.svd(of_base, compute_uv=False)
-    return np.asarray(singular[:, -1] > _MIN_RANK_RATIO * singular[:, 0])
+def _determines_base(J: Array) -> Mask:
+    """Mask of the samples at which closed feet determine the motion of the base, shape (N,)."""
+    J_base = np.moveaxis(J[:, -_BASE:], -1, 0)  # (N, k, 6)
+    if J_base.shape[1] < _BASE:
+        return np.zeros(len(J_base), dtype=bool)
+    singular_values = np.linalg.svd(J_base, compute_uv=False)
+    return np.asarray(singular_values[:, -1] > _MIN_RANK_RATIO * singular_values[:, 0])
 
 
 def _longest_run(mask: Mask) -> slice:
-    """The longest run of true samples."""
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    """The longest run of true samples; empty without any."""
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))  # starts and stops by turns
     starts, stops = edges[::2], edges[1::2]
     if not len(starts):
         return slice(0, 0)
@@ -147,17 +181,19 @@ def _longest_run(mask: Mask) -> slice:
     return slice(int(starts[longest]), int(stops[longest]))
 
 
-def _base_turning(directions: Array, q_rate: Array) -> Array:
+def _base_angular_velocity(J: Array, q_rate: Array) -> Array:
     """Angular velocity of the base by least squares, the feet being at rest, shape (3, N) [rad/s]."""
-    of_base = np.moveaxis(directions[:, -6:], -1, 0)  # (N, k, 6)
-    feet_velocity = np.einsum("kvn,vn->nk", directions[:, :-6], q_rate[:-6])
-    gram = of_base.transpose(0, 2, 1) @ of_base
-    right = of_base.transpose(0, 2, 1) @ feet_velocity[:, :, None]
-    return np.asarray(-np.linalg.solve(gram, right)[:, 3:, 0].T)
+    J_base = np.moveaxis(J[:, -_BASE:], -1, 0)  # (N, k, 6)
+    J_base_transposed = J_base.transpose(0, 2, 1)
+    by_joints = np.einsum("kvn,vn->nk", J[:, :-_BASE], q_rate[:-_BASE])  # velocity of the feet, the base being at rest
+    gram = J_base_transposed @ J_base
+    right = J_base_transposed @ by_joints[:, :, None]
+    base_velocity = -np.linalg.solve(gram, right)[:, :, 0]
+    return np.asarray(base_velocity[:, 3:].T)
 
 
 def _mean(delays: Sequence[ImuDelay]) -> ImuDelay | None:
-    """Mean of several estimates by their standard errors; None without any."""
+    """Mean of several estimates, weighted by their standard errors; None without any."""
     if not delays:
         return None
     weights = np.array([delay.standard_error**-2 for delay in delays])

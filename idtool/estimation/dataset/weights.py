@@ -17,6 +17,7 @@ _RANK = 1e-10  # of the largest singular value: what lies below is not determine
 _WEIGHINGS = 2  # of the joints by their noise
 _GUESSED_SHARE = 0.02  # of a joint's torque, or of the weight: first guess of the noise
 _GUESSED_ARM = 0.1  # m, at which the noise of a base's force acts
+_GRAVITY = 9.81  # m/s²
 _LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can handle
 
 
@@ -84,7 +85,7 @@ def initial_row_noise(model: RobotModel, torque: Array) -> Array:
     torque
         RMS torque of the joints, shape (joints,) [N·m or N].
     """
-    weight = 9.81 * max(sum(float(body.pi[0]) for body in model.bodies), 1.0)
+    weight = _GRAVITY * max(model.mass, 1.0)
     force = _GUESSED_SHARE * weight
     typical = float(np.median(torque)) or 1.0
     joints = _GUESSED_SHARE * np.maximum(torque, 0.1 * typical)

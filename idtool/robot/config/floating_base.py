@@ -31,6 +31,11 @@ class Imu(ConfigRecord):
     topic: str | None = None
     delay: Annotated[Literal["auto"] | Delay, BeforeValidator(_delay)] = "auto"
 
+    @property
+    def known_delay(self) -> float:
+        """The delay [s]; 0 as long as ``auto`` has not determined it."""
+        return 0.0 if self.delay == "auto" else float(self.delay)
+
 
 class Base(ConfigRecord):
     """The root link: fixed to the ground, or floating, its motion measured by an IMU.
@@ -82,17 +87,29 @@ class Contact(ConfigRecord):
         return self.force is not None
 
     @property
-    def is_detected(self) -> bool:
+    def has_automatic_flag(self) -> bool:
         """True if the torque of the leg tells when it is closed."""
         return self.flag == "auto"
 
     @property
     def flag_channel(self) -> str | None:
-        """Channel of its flag, which a detection makes if the log has none; None: it is always closed."""
-        return f"contact_{self.name} (detected)" if self.is_detected else self.flag
+        """Channel of its flag, which the detection adds to the log if the flag is ``auto``; None: always closed."""
+        return f"contact_{self.name} (detected)" if self.has_automatic_flag else self.flag
 
     @property
-    def channels(self) -> tuple[str, ...]:
-        """The log's channels that it needs."""
-        flag = () if self.flag is None or self.is_detected else (self.flag,)
-        return (*flag, *(self.force or ()), *(self.moment or ()))
+    def logged_channels(self) -> tuple[str, ...]:
+        """Channels that it needs of a log as it was read."""
+        channels = [*(self.force or ()), *(self.moment or ())]
+        if self.flag is not None and not self.has_automatic_flag:
+            channels.insert(0, self.flag)
+        return tuple(channels)
+
+    @property
+    def needs_orientation(self) -> bool:
+        """True if its place, or the axes of its wrench, depend on the orientation of the base."""
+        is_ball = self.radius > 0  # which touches the ground with its lowest point
+        return is_ball or (self.is_measured and self.frame == "world")
+
+    def with_unknown_wrench(self) -> Contact:
+        """A copy whose wrench is not measured."""
+        return self.model_copy(update={"force": None, "moment": None})

@@ -10,15 +10,15 @@ from ground.robot import FEET, FOOT_RADIUS, true_quadruped
 from standing_quadruped import PinocchioQuadruped, quadruped_model, random_state
 
 from idtool.data.signals import Motion
-from idtool.dynamics.contact_forces import ContactForces
+from idtool.dynamics.contact_model import ContactModel
 
 ROBOT = true_quadruped(0)
 SURFACE = {"name": "rope", "link": "trunk", "kind": "surface", "flag": "contact_rope"}
 
 
-def contact_forces(folder: Path, rng: np.random.Generator, are_measured: bool = False) -> ContactForces:
+def contact_forces(folder: Path, rng: np.random.Generator, are_measured: bool = False) -> ContactModel:
     model, config = quadruped_model(folder, ROBOT, are_measured)
-    return ContactForces(model, config.contacts, np.exp(rng.normal(size=18)))
+    return ContactModel(model, config.contacts, np.exp(rng.normal(size=18)))
 
 
 def exerted(reference: PinocchioQuadruped, motion: Motion, k: int, forces: np.ndarray) -> np.ndarray:
@@ -44,9 +44,9 @@ def test_projector_eliminates_what_contacts_exert_and_nothing_else(tmp_path: Pat
     np.testing.assert_allclose(np.trace(projector, axis1=1, axis2=2), 18 - 3 * closed, atol=1e-6)
 
     torque = np.stack([exerted(reference, motion, k, rng.normal(size=(4, 3))) for k in range(40)], axis=1)
-    np.testing.assert_allclose(contacts.projected(projector, torque), 0, atol=1e-6)
+    np.testing.assert_allclose(contacts.project(projector, torque), 0, atol=1e-6)
     other = rng.normal(size=(18, 40))
-    assert np.abs(contacts.projected(projector, other)).max() > 0.1
+    assert np.abs(contacts.project(projector, other)).max() > 0.1
 
 
 def test_surface_on_the_base_leaves_no_row_of_the_base(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -68,7 +68,7 @@ def test_unknown_friction_of_a_joint_is_eliminated_with_the_contact_forces(
     resting = np.arange(10) < 6
     torque = np.stack([exerted(reference, motion, k, rng.normal(size=(4, 3))) for k in range(10)], axis=1)
     torque[5, resting] += 3.0
-    left = contacts.projected(contacts.projector(motion, {5: resting}), torque)
+    left = contacts.project(contacts.projector(motion, {5: resting}), torque)
     np.testing.assert_allclose(left, 0, atol=1e-6)
 
 
@@ -81,8 +81,8 @@ def test_least_squares_is_that_with_free_forces(tmp_path: Path, rng: np.random.G
     motion.contacts.is_closed[4] = False
     Y, tau = rng.normal(size=(18, 4, 6)), rng.normal(size=(18, 6))
     projector = contacts.projector(motion, {})
-    rows = np.moveaxis(contacts.projected(projector, Y), 1, -1) / contacts.noise[:, None, None]
-    right = contacts.projected(projector, tau) / contacts.noise[:, None]
+    rows = np.moveaxis(contacts.project(projector, Y), 1, -1) / contacts.noise[:, None, None]
+    right = contacts.project(projector, tau) / contacts.noise[:, None]
     theta = np.linalg.lstsq(rows.reshape(-1, 4), right.ravel())[0]
 
     whole = []
@@ -109,7 +109,7 @@ def test_measured_force_acts_at_the_lowest_point_of_the_ball(
     motion = random_state(rng)
     assert motion.contacts is not None
     motion.contacts.wrenches[:, 3:] = 0  # which a point does not take
-    found = ContactForces(model, config.contacts, np.ones(18)).measured_torque(motion)
+    found = ContactModel(model, config.contacts, np.ones(18)).measured_force(motion)
     for k in range(5):
         force = motion.contacts.wrenches[0, :3, k]
         J = reference.contact_jacobian(motion, k, foot, FOOT_RADIUS)  # which places the frame
@@ -124,7 +124,7 @@ def test_measured_moment_of_a_surface(tmp_path: Path, rng: np.random.Generator) 
     reference = PinocchioQuadruped(tmp_path / "quadruped.urdf")
     motion = random_state(rng)
     assert motion.contacts is not None
-    found = ContactForces(model, config.contacts, np.ones(18)).measured_torque(motion)
+    found = ContactModel(model, config.contacts, np.ones(18)).measured_force(motion)
     for k in range(5):
         J = reference.contact_jacobian(motion, k, FEET[2], 0.0)
         np.testing.assert_allclose(found[:, k], J.T @ motion.contacts.wrenches[0, :, k], atol=1e-10)

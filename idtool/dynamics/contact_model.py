@@ -1,0 +1,209 @@
+"""`ContactModel`: contacts in the equation of motion of a robot with a floating base.
+
+Its nv rows are those of the joints and, after them, the six of the base; it is linear in the parameters pi:
+
+    Y pi = [tau; 0] + Σ Jᵢᵀ Fᵢ  (1)
+
+A measured wrench F is a known generalized force Jᵀ F, which is added to tau. An unknown one is eliminated. Let every
+row be divided by the standard deviation of its noise, and let P be the orthogonal projector onto what no unknown
+contact force exerts. Then P Jᵀ = 0, so that P Y pi = P tau holds whatever the unknown forces are. Least squares on
+these rows is generalized least squares on (1) with the forces as free unknowns at every sample (theorem of Frisch,
+Waugh and Lovell).
+
+The dry friction of a joint at rest is unknown too. It acts on the joint's own row alone, so that this row is left out.
+
+P varies with time, and so it does not commute with a filter. It is applied at every sample, before the low-pass.
+
+Shapes: nv generalized coordinates, N samples, k components of unknown contact forces, c coordinates that move a body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from idtool.common.arrays import Array, Mask
+from idtool.data.base_sensors import ContactSamples
+from idtool.data.signals import Motion
+from idtool.robot.config import Contact
+from idtool.robot.kinematics import BodyJacobian, body_jacobians, body_motions, body_placements, cross, rotate
+from idtool.robot.model import RobotModel
+
+Placements = Mapping[int, tuple[Array, Array]]  # body → rotation to the base (N, 3, 3), and origin in the base (N, 3)
+
+# Added to the diagonal of the Gram matrix of unit vectors, which is singular where some combination of contact forces
+# exerts nothing.
+_RIDGE = 1e-11
+
+
+@dataclass(frozen=True)
+class ContactModel:
+    """Generalized forces of a robot's contacts: of the measured wrenches, and of all that unknown ones can exert.
+
+    Attributes
+    ----------
+    model
+        The tree of bodies, with a floating base.
+    contacts
+        The contacts, in the order of those in `ContactSamples`.
+    noise
+        Standard deviation of the noise of each row of (1), above 0, shape (nv,) [N or N·m].
+    """
+
+    model: RobotModel
+    contacts: tuple[Contact, ...]
+    noise: Array
+
+    def with_noise(self, noise: Array) -> ContactModel:
+        """A copy with other noise of the rows, shape (nv,)."""
+        return replace(self, noise=noise)
+
+    def measured_force(self, motion: Motion) -> Array:
+        """Generalized force of the measured wrenches, which is added to tau, shape (nv, N) [N or N·m].
+
+        It is 0 for a motion that is of no log, and so has no contacts.
+        """
+        generalized_force = np.zeros_like(motion.tau)
+        measured = [i for i, contact in enumerate(self.contacts) if contact.is_measured]
+        if not measured or motion.contacts is None:
+            return generalized_force
+        contact_samples = motion.contacts
+        jacobians = self._body_jacobians(motion)
+        placements = body_placements(self.model, motion.q)
+        for i in measured:
+            contact = self.contacts[i]
+            body = self.model.frames[contact.link].body
+            to_body = self._wrench_to_body(contact, placements, contact_samples)
+            force = rotate(to_body, contact_samples.wrenches[i, :3])
+            moment = rotate(to_body, contact_samples.wrenches[i, 3:])
+            J_linear, J_angular = self._contact_jacobian(contact, jacobians[body], placements, contact_samples)
+            of_force = np.einsum("icn,in->cn", J_linear, force)
+            of_moment = np.einsum("icn,in->cn", J_angular, moment)
+            generalized_force[jacobians[body].coordinates] += of_force + of_moment
+        return generalized_force
+
+    def projector(self, motion: Motion, unknown_friction: Mapping[int, Mask]) -> Array:
+        """Orthogonal projector P onto what neither unknown contact forces nor unknown friction exert.
+
+        Parameters
+        ----------
+        motion
+            N samples, with their contacts.
+        unknown_friction
+            Row of a joint → samples at which its friction is unknown, shape (N,).
+
+        Returns
+        -------
+        Shape (N, nv, nv), for rows divided by their noise.
+        """
+        nv, count = motion.q.shape
+        is_kept = np.ones((count, nv))
+        for joint, mask in unknown_friction.items():
+            is_kept[mask, joint] = 0.0
+        kept_rows = np.eye(nv) * is_kept[:, None, :]
+        directions = self.unknown_directions(motion)
+        if not len(directions):
+            return kept_rows
+
+        by_sample = np.moveaxis(directions, -1, 0)  # (N, k, nv)
+        in_kept_rows = by_sample / self.noise * is_kept[:, None, :]
+        length = np.linalg.norm(in_kept_rows, axis=2, keepdims=True)
+        length[length == 0] = 1.0  # of an open contact, which exerts nothing
+        unit = in_kept_rows / length
+        unit_transposed = unit.transpose(0, 2, 1)
+        gram = unit @ unit_transposed + _RIDGE * np.eye(len(directions))
+        onto_contacts = unit_transposed @ np.linalg.solve(gram, unit)
+        return np.asarray(kept_rows - onto_contacts)
+
+    def project(self, projector: Array, rows: Array) -> Array:
+        """Rows of (1) without what unknown forces can exert: divided by the noise, projected, multiplied by it again.
+
+        Parameters
+        ----------
+        projector
+            From `projector`, shape (N, nv, nv).
+        rows
+            Columns of Y, shape (nv, columns, N), or tau, shape (nv, N).
+
+        Returns
+        -------
+        The same shape.
+        """
+        nv, count = len(rows), rows.shape[-1]
+        by_sample = np.moveaxis(rows.reshape(nv, -1, count), -1, 0)  # (N, nv, columns)
+        sigma = self.noise[:, None]
+        projected = (projector @ (by_sample / sigma)) * sigma
+        in_time = np.ascontiguousarray(np.moveaxis(projected, 0, -1))  # which the filter reads along
+        return in_time.reshape(rows.shape)
+
+    def unknown_directions(self, motion: Motion) -> Array:
+        """Generalized force per unit of each component of the unknown contact forces, in body axes, shape (k, nv, N).
+
+        It is 0 at samples at which the contact is open.
+        """
+        unknown = [i for i, contact in enumerate(self.contacts) if not contact.is_measured]
+        nv, count = motion.q.shape
+        if not unknown:
+            return np.zeros((0, nv, count))
+        contact_samples = _contact_samples(motion)
+        jacobians = self._body_jacobians(motion)
+        placements = body_placements(self.model, motion.q)
+        directions = []
+        for i in unknown:
+            contact = self.contacts[i]
+            body_jacobian = jacobians[self.model.frames[contact.link].body]
+            J_linear, J_angular = self._contact_jacobian(contact, body_jacobian, placements, contact_samples)
+            transmitted = [J_linear]
+            if contact.kind == "surface":  # a point transmits no moment
+                transmitted.append(J_angular)
+            for J in transmitted:
+                on_all_coordinates = np.zeros((3, nv, count))
+                on_all_coordinates[:, body_jacobian.coordinates] = J * contact_samples.is_closed[i]
+                directions.append(on_all_coordinates)
+        return np.concatenate(directions)
+
+    def _body_jacobians(self, motion: Motion) -> Sequence[BodyJacobian]:
+        """Jacobian of every body along a motion."""
+        zero_rates = np.zeros_like(motion.q)  # Jacobians depend on q alone
+        motions = body_motions(self.model, motion.q, zero_rates, zero_rates)
+        return body_jacobians(self.model, motions)
+
+    def _contact_jacobian(
+        self, contact: Contact, body_jacobian: BodyJacobian, placements: Placements, contact_samples: ContactSamples
+    ) -> tuple[Array, Array]:
+        """Jacobian of a contact's point in the axes of its body, linear and angular part, shape (3, c, N) each."""
+        link_frame = self.model.frames[contact.link]
+        in_link = np.asarray(contact.point)
+        point = (link_frame.p + link_frame.R @ in_link)[:, None]
+        if contact.radius:  # a ball touches level ground a radius below its centre
+            up_in_base = contact_samples.world_to_base[:, 2]
+            up = rotate(_base_to_body(placements, link_frame.body), up_in_base)
+            point = point - contact.radius * up
+        by_rotation = cross(body_jacobian.S_w, point[:, None])
+        J_linear = body_jacobian.S_v + by_rotation
+        coordinates, count = body_jacobian.S_w.shape[1], contact_samples.is_closed.shape[1]
+        shape = (3, coordinates, count)  # a Jacobian that does not depend on q has one sample
+        return np.broadcast_to(J_linear, shape), np.broadcast_to(body_jacobian.S_w, shape)
+
+    def _wrench_to_body(self, contact: Contact, placements: Placements, contact_samples: ContactSamples) -> Array:
+        """Rotation from the axes of a measured wrench to those of its body, shape (3, 3, N) or (3, 3, 1)."""
+        link_frame = self.model.frames[contact.link]
+        if contact.frame == "link":
+            return link_frame.R[:, :, None]
+        base_to_body = _base_to_body(placements, link_frame.body)
+        return np.asarray(np.einsum("ij...,jk...->ik...", base_to_body, contact_samples.world_to_base))
+
+
+def _base_to_body(placements: Placements, body: int) -> Array:
+    """Rotation from the axes of the base to those of a body, shape (3, 3, N) or (3, 3, 1)."""
+    body_to_base, _ = placements[body]
+    return body_to_base.transpose(2, 1, 0)  # its inverse, samples last
+
+
+def _contact_samples(motion: Motion) -> ContactSamples:
+    """Contacts of a motion; ValueError if it has none."""
+    if motion.contacts is None:
+        raise ValueError("the motion has no contacts, but the robot has some with unknown forces")
+    return motion.contacts
