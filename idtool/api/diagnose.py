@@ -191,7 +191,6 @@ def diagnose(
     if inertia is None:
         inertia = "fixed" if as_list(against) else "refit"
     model = as_model(model)
-    model.settings.require_fixed_base("diagnose")
     simulated_logs = _paired(logs, against)
     experiment = load_experiment(model, logs, validate, holdout, report_progress)
     check_assumptions(assumptions, experiment.model)

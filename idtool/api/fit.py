@@ -193,7 +193,7 @@ def fit_experiment(
     solved = run_fit(experiment, progress, simulate, analyze_uncertainty, method)
     maps = None
     if analyze_uncertainty:
-        if not experiment.model.has_floating_base:  # those of a floating base would be sought with a fixed one
+        if experiment.model.has_only_joints:  # those of a floating base would be sought with a fixed one
             faults = [fault for fault in find_data_faults(experiment, progress) if fault.code in _UNCORRECTABLE_FAULTS]
             solved = replace(solved, notices=(*faults, *solved.notices))
         prior_maps = residual_maps(solved.experiment, experiment.equation.prior, progress)

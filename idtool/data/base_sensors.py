@@ -49,17 +49,28 @@ class ContactSamples:
     is_closed: Mask
     wrenches: Array
 
+    def every(self, stride: int) -> ContactSamples:
+        """One of every ``stride`` samples."""
+        return ContactSamples(
+            self.world_to_base[..., ::stride], self.is_closed[:, ::stride], self.wrenches[..., ::stride]
+        )
+
 
 def sensor_options(config: Config) -> SensorOptions | None:
-    """Options for reading the sensors of the base from a log; None with a fixed base, which needs none."""
-    if config.base.kind == "fixed":
+    """Options for reading the sensors of a robot from a log; None if it has none."""
+    if config.base.kind == "fixed" and not config.wrench_sensors:
         return None
     return SensorOptions(imu_topic=config.base.imu.topic)
 
 
 def needed_channels(config: Config) -> tuple[str, ...]:
-    """Channels of a log that a configuration with a floating base needs."""
-    channels = [*GYROSCOPE, *ACCELEROMETER]
+    """Channels of a log that a configuration needs beside those of the joints."""
+    channels: list[str] = []
+    for sensor in config.wrench_sensors:
+        channels += sensor.logged_channels
+    if config.base.kind == "fixed":
+        return tuple(channels)
+    channels += [*GYROSCOPE, *ACCELEROMETER]
     if any(contact.needs_orientation for contact in config.contacts):
         channels += ORIENTATION
     for contact in config.contacts:

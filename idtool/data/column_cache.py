@@ -16,7 +16,7 @@ from typing_extensions import override
 
 from idtool.common.arrays import Array
 
-_MAX_BYTES = 512 << 20
+_MAX_BYTES = 1 << 30
 
 Owner = TypeVar("Owner")
 

@@ -113,6 +113,30 @@ def without_constant_torque(log: JointLog, controller: Controller | None) -> Joi
     return replace(log, signals={**log.signals, "tau": tau}, notices=(*log.notices, notice))
 
 
+def with_unknown_torque(log: JointLog, controller: Controller | None) -> JointLog:
+    """The log of a robot with wrench sensors, in which joints may have neither a torque nor a command with gains.
+
+    Their torque counts as unknown: their rows of the torque equation are left out.
+    """
+    gains = controller.kp if controller else {}
+    unknown = []
+    for i, name in enumerate(log.joints):
+        has_command = name in gains and log.has("qcmd", name)
+        has_torque = log.has("tau", name) and not _is_constant(log, i)
+        if not (has_torque or has_command):
+            unknown.append(i)
+    if not unknown:
+        return log
+    tau = np.full((len(log), len(log.joints)), np.nan)
+    tau = log.signals.get("tau", tau).copy()
+    tau[:, unknown] = 0.0
+    names = tuple(log.joints[i] for i in unknown)
+    message = f"no torque was logged of {join_names(names)}; the wrench sensors alone tell what these joints move"
+    notice = Notice("torque_unknown", "note", None, message)
+    signals = {**log.signals, "tau": tau}
+    return replace(log, signals=signals, unknown_torque=names, notices=(*log.notices, notice))
+
+
 def _is_constant(log: JointLog, joint: int) -> bool:
     """True if a joint has a torque that never changes."""
     if "tau" not in log.signals:

@@ -26,6 +26,7 @@ from idtool.data.controller import JointController
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_above_band
 from idtool.data.logs.log import JointLog
 from idtool.data.logs.times import suspected_unit
+from idtool.data.wrench_channels import WrenchChannels
 from idtool.robot.config import Config
 
 BATCH_SAMPLES = 8192  # samples
@@ -47,9 +48,10 @@ class Motion:
     t
         Time since the log's first complete sample [s], shape (N,).
     q, v, a
-        Position, velocity and acceleration, shape (nv, N); those of a floating base come last, see `RobotModel`.
+        Position, velocity and acceleration, shape (nv, N); those of wrench sensors, which are 0, come after those of
+        the joints, and those of a floating base last, see `RobotModel`.
     tau
-        Torque at the joint output, shape (nv, N); 0 for a floating base.
+        Torque at the joint output, and measured wrenches, shape (nv, N); 0 for a floating base.
     logged_tau
         Logged torque, or that of the controller, without the wide filter; shape (nv, N).
     velocity_deadband
@@ -68,6 +70,8 @@ class Motion:
         File name of the log; empty: the motion is of no log.
     contacts
         Contacts of a robot with a floating base; None: it has none.
+    unknown_torque
+        Joints whose torque is not known.
     """
 
     t: Array
@@ -83,6 +87,7 @@ class Motion:
     kept_columns: KeptColumns | None = None
     log: str = ""
     contacts: ContactSamples | None = None
+    unknown_torque: tuple[int, ...] = ()
 
     @property
     def is_log(self) -> bool:
@@ -146,6 +151,8 @@ class Signals:
         The decisions about the velocity and the stretches, with their reasons.
     base_sensors
         Sensors of a floating base; None: it is fixed.
+    unknown_torque
+        Joints whose torque was not logged.
 
     Parameters
     ----------
@@ -156,7 +163,9 @@ class Signals:
     config
         The configuration.
     base_sensors
-        Sensors of a floating base, whose coordinates come after the joints; None: the base is fixed.
+        Sensors of a floating base, whose coordinates come after all others; None: the base is fixed.
+    wrench_channels
+        Sensors of wrenches, whose coordinates come after the joints; None: there are none.
 
     Raises
     ------
@@ -167,11 +176,18 @@ class Signals:
     """
 
     def __init__(
-        self, log: JointLog, joints: Sequence[str], config: Config, base_sensors: BaseSensors | None = None
+        self,
+        log: JointLog,
+        joints: Sequence[str],
+        config: Config,
+        base_sensors: BaseSensors | None = None,
+        wrench_channels: WrenchChannels | None = None,
     ) -> None:
         self.log = log
         self.base_sensors = base_sensors
+        self._wrench_channels = wrench_channels
         self.joints = tuple(joints)
+        self.unknown_torque = tuple(j for j, name in enumerate(self.joints) if name in log.unknown_torque)
         self.notices: list[Notice] = []
         rate = 1 / log.dt
         self.band_hz = _band(log, config)
@@ -330,28 +346,23 @@ class Signals:
             dt=self.log.dt,
             delayed_torques=delayed_torques,
             log=self.log.path.name,
+            unknown_torque=self.unknown_torque,
         )
-        return motion if self.base_sensors is None else self._with_base(motion, self.base_sensors, part)
-
-    def _with_base(self, motion: Motion, sensors: BaseSensors, part: slice) -> Motion:
-        """Motion of the joints with that of a floating base and its contacts."""
+        if self._wrench_channels is None and self.base_sensors is None:
+            return motion
         margin = self._margin
         outer = self.channels.times(slice(part.start - margin, part.stop + margin))
-        v, a = sensors.kinematics(outer, self.log.dt, self._smooth)
-        zero = np.zeros_like(v)
         r = 2 * DIFFERENCE_REACH
-        delayed_zero = np.zeros((len(motion.delayed_torques), *v.shape))
-        return replace(
-            motion,
-            q=np.concatenate([motion.q, zero]),
-            v=np.concatenate([motion.v, v]),
-            a=np.concatenate([motion.a, a]),
-            tau=np.concatenate([motion.tau, zero]),
-            logged_tau=np.concatenate([motion.logged_tau, zero]),
-            velocity_deadband=np.append(motion.velocity_deadband, np.full(len(v), _MIN_DEADBAND)),
-            delayed_torques=np.concatenate([motion.delayed_torques, delayed_zero], axis=1),
-            contacts=sensors.contacts(outer[r : len(outer) - r], self._smooth),
-        )
+        inner = outer[r : len(outer) - r]
+        if self._wrench_channels is not None:
+            wrenches = self._wrench_channels.wrenches(inner, self._smooth)
+            zero = np.zeros_like(wrenches)
+            motion = _with_coordinates(motion, zero, zero, wrenches)
+        if self.base_sensors is not None:
+            v, a = self.base_sensors.kinematics(outer, self.log.dt, self._smooth)
+            motion = _with_coordinates(motion, v, a, np.zeros_like(v))
+            motion = replace(motion, contacts=self.base_sensors.contacts(inner, self._smooth))
+        return motion
 
     def _kinematics(self, part: slice, from_position: Mask) -> tuple[Array, Array, Array]:
         """q, v and a at samples of the log, shape (nv, N); v from q where ``from_position``, shape (nv,)."""
@@ -384,6 +395,21 @@ class Signals:
             if by_command.any():
                 tau[:, by_command] = self.controller.torques(self.channels, outer, delays)[:, by_command]
         return self._smooth(tau), tau[0, :, m : m + part.stop - part.start]
+
+
+def _with_coordinates(motion: Motion, v: Array, a: Array, tau: Array) -> Motion:
+    """Motion with further coordinates, shape (k, N), whose position is 0."""
+    delayed = np.repeat(tau[None], len(motion.delayed_torques), axis=0)
+    return replace(
+        motion,
+        q=np.concatenate([motion.q, np.zeros_like(v)]),
+        v=np.concatenate([motion.v, v]),
+        a=np.concatenate([motion.a, a]),
+        tau=np.concatenate([motion.tau, tau]),
+        logged_tau=np.concatenate([motion.logged_tau, tau]),
+        velocity_deadband=np.append(motion.velocity_deadband, np.full(len(v), _MIN_DEADBAND)),
+        delayed_torques=np.concatenate([motion.delayed_torques, delayed], axis=1),
+    )
 
 
 def default_cutoff(dt: float) -> float:

@@ -109,7 +109,8 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     first = fit(model, progress)
     no_notices: tuple[Notice, ...] = ()
     check = Background(partial(find_data_faults, experiment))
-    with check, _begin_simulation(first, options.simulate) as simulation:
+    can_simulate = options.simulate and model.model.has_only_joints
+    with check, _begin_simulation(first, can_simulate) as simulation:
         search = _run_search(model, options, progress)
         stages = Stages(interrupted=search.is_interrupted)
         faults = stages.run("the check of the data", partial(check.result, progress), no_notices)

@@ -53,19 +53,20 @@ def effect_profile(
     joints = after.equation.joints
     j = int(effect.joint) if isinstance(effect, JointEffect) else _most_improved_joint(series)
     source = j if effect.cause_joint is None else effect.cause_joint
-    cause = _cause_values(effect, series, source, float(after.runs[0].signals.velocity_deadband[source]))
+    cause_kind = _cause_of(effect, series, source)
+    cause = _cause_values(cause_kind, effect.cause_period, series, source)
     valid = series.valid[j] & np.isfinite(cause)
     residual_before, residual_without, residual_after = series.residuals[:, j]
     torques = np.stack([residual_before, residual_after, residual_without - residual_after])
     if effect.follows_direction:
         torques = torques * np.sign(series.v[j])
-    values, mean, deviation = _binned_torques(effect.cause, cause, torques, valid)
+    values, mean, deviation = _binned_torques(cause_kind, cause, torques, valid)
     effect_torque = None
     if _is_function(torques[2, valid], np.interp(cause[valid], values, mean[2])):
         effect_torque = mean[2]
     return EffectProfile(
         joint=joints[j],
-        cause=effect.cause,
+        cause=cause_kind,
         cause_joint=joints[source],
         period=effect.cause_period,
         in_direction_of_motion=effect.follows_direction,
@@ -94,11 +95,17 @@ def _most_improved_joint(series: ResidualSeries) -> int:
     return int(np.argmax(before / np.maximum(after, np.finfo(float).tiny)))
 
 
-def _cause_values(effect: NamedEffect, series: ResidualSeries, j: int, velocity_deadband: float) -> Array:
-    """Values of an effect's cause at all samples, such as the velocity, shape (n,); infinite where not known."""
-    match effect.cause:
+def _cause_of(effect: NamedEffect, series: ResidualSeries, j: int) -> Cause:
+    """Cause of an effect's torque; of a force on a floating base, whose position is not measured, its acceleration."""
+    has_position = bool(series.q[j].any())
+    return effect.cause if has_position or effect.cause != "position" else "acceleration"
+
+
+def _cause_values(cause: Cause, period: float | None, series: ResidualSeries, j: int) -> Array:
+    """Values of a cause at all samples, such as the velocity, shape (n,); infinite where not known."""
+    match cause:
         case "position":
-            q = series.q[j] if effect.cause_period is None else series.q[j] % effect.cause_period
+            q = series.q[j] if period is None else series.q[j] % period
             return np.asarray(q)
         case "velocity":
             return np.asarray(series.v[j])
@@ -109,7 +116,7 @@ def _cause_values(effect: NamedEffect, series: ResidualSeries, j: int, velocity_
         case "torque_rate":
             return _rate(series.tau[j], series)
         case "distance_since_reversal":
-            return distance_since_reversal(series, j, velocity_deadband)
+            return distance_since_reversal(series, j)
         case "time":
             return series.t
 

@@ -35,15 +35,14 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
     count = np.zeros(linearized.joint_count)
     for run in linearized.experiment.runs:
         for batch in linearized.experiment.batches(run, held_out=True):
-            if linearized.reversal_margin:
-                masks = row_equation.clean_samples(batch, linearized.reversal_margin)
-            else:
-                masks = row_equation.valid_samples(batch)
-            joints = zip(equation.active(), equation.filtered_columns(batch), masks, strict=True)
-            for j, (active, columns, mask) in enumerate(joints):
+            margin = linearized.reversal_margin
+            row_filter = equation.row_filter(batch, row_equation, is_clean=margin > 0, min_distance=margin)
+            all_columns = equation.filtered_columns(batch, row_filter)
+            joints = zip(equation.active(), all_columns, row_filter.counts, strict=True)
+            for j, (active, columns, counts) in enumerate(joints):
                 residual = columns[-1] - theta[active] @ columns[:-1]
-                squares[j] += np.square(residual[mask]).sum()
-                count[j] += mask.sum()
+                squares[j] += np.square(residual[counts.astype(bool)]).sum()
+                count[j] += counts.sum()
     with np.errstate(invalid="ignore"):
         return np.asarray(squares / count)
 

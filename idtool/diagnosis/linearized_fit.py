@@ -36,6 +36,7 @@ from idtool.estimation.identification import choose_sets
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.estimate import Estimate, estimate
 from idtool.robot.config import EffectEntry
+from idtool.robot.model import WRENCH_SIZE, RobotModel
 
 _BLOCKS = 36  # of time, of all logs together
 _MIN_BLOCK_SECONDS = 0.4
@@ -43,6 +44,7 @@ _BARRIER_GAP = 1e-4  # of the cost, that the barrier's minimiser may cost more
 _MIN_DATA_SHARE = 1e-5  # of a direction's information: with less from the data, the prior determines it
 _MIN_REMAINING_INFORMATION = 0.02  # of all, without one block
 _RANK = 1e-13  # of the largest eigenvalue: smaller ones are 0
+_LEVER_ARM = 0.3  # m; 0.3 % of it, below which errors are negligible, is as much as a soft foot moves its contact point
 _MIN_DEFINED_ROWS = 0.1  # of a joint's rows, at which the model's own columns must be defined
 
 
@@ -102,7 +104,8 @@ class LinearizedFit:
     row_counts
         Rows of each block, by joint, shape (F, nv).
     rms_torque
-        Rms of each joint's torque, shape (nv,) [N·m or N].
+        Rms of each joint's torque, and size of the force and the moment of each wrench sensor and of a floating base,
+        shape (nv,) [N·m or N].
     block_length
         Rows of a block of time; the last of a log may have fewer.
     reversal_margin
@@ -251,7 +254,7 @@ def linearize_fit(
     blocks = _read_blocks(experiment, length, progress, row_experiment.equation, reversal_margin)
     equation = experiment.equation
     reduction = experiment.checked(merge_reductions([log.total for log in blocks]))
-    rms_torque = np.array([np.linalg.norm(factor.R[:, -1]) / np.sqrt(factor.rows) for factor in reduction])
+    rms_torque = _rms_torque(experiment.model, reduction)
     if reference is None:
         noise = free_noise(equation, reduction, experiment.equalities)
         noise_gain = noise_gain_of(experiment, noise)
@@ -286,6 +289,19 @@ def linearize_fit(
         reversal_margin=reversal_margin,
         row_experiment=row_experiment,
     )
+
+
+def _rms_torque(model: RobotModel, reduction: Reduction) -> Array:
+    """Rms of each joint's torque, and size of the force and the moment of each sensor and of the base, shape (nv,).
+
+    The moment counts as at least that of the force at a lever arm of `_LEVER_ARM`.
+    """
+    squares = np.array([np.square(factor.R[:, -1]).sum() / max(factor.rows, 1.0) for factor in reduction])
+    for first in range(model.joint_count, len(model.joints), WRENCH_SIZE):
+        force, moment = first + np.arange(WRENCH_SIZE).reshape(2, 3)
+        squares[force] = squares[force].sum()
+        squares[moment] = max(squares[moment].sum(), _LEVER_ARM**2 * squares[force[0]])
+    return np.asarray(np.sqrt(squares))
 
 
 def _estimate(experiment: Experiment, reduction: Reduction, noise: Array) -> Estimate:
@@ -346,7 +362,8 @@ def _read_blocks(
             for j, (mask, own_mask) in enumerate(zip(masks, own_masks, strict=True)):
                 row_count[j] += mask.sum()
                 defined_count[j] += (mask & own_mask).sum()
-            yield equation.filtered_columns(batch), masks
+            row_filter = equation.row_filter(batch, row_equation, is_clean=True, min_distance=reversal_margin)
+            yield equation.filtered_columns(batch, row_filter), row_filter.counts
 
     logs = []
     for run in experiment.runs:

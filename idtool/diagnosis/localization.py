@@ -119,7 +119,6 @@ def _locate(
         joint=j,
         names=joints,
         is_prismatic=tuple(experiment.model.units[name] == "N" for name in joints),
-        velocity_deadband=np.stack([run.signals.velocity_deadband for run in experiment.runs]).max(axis=0),
         band=experiment.band_hz,
         energy=energy[j],
         torque=torque[j],

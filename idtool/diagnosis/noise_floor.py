@@ -21,6 +21,7 @@ from scipy.signal import periodogram
 from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Batch
 from idtool.dynamics.linearized_model import LinearizedModel
+from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 
 _NOISE_BAND = (0.3, 0.95)  # of the band, in which the residual's spectrum is taken as noise
@@ -32,6 +33,7 @@ _QUIET_OF_MEAN = -np.log(1 - _QUIET)  # that quantile over the mean: periodogram
 _MIN_WINDOWS = 12
 _MAX_UNDEFINED_SHARE = 0.03  # of a filtered sample's weight, where an effect other than friction is undefined
 _MAX_COLOUR = 15.0  # ratio of the residual's slow power to that of white noise, up to which it may be noise
+_MIN_SHARE = 0.05  # of a row, that tells its noise where contact forces leave no more of it
 _MIN_MOVING = 0.7  # share of a window in which the joint moves
 
 
@@ -127,7 +129,7 @@ def estimate_noise_floor(
     for j, powers in enumerate(periodograms):
         if _suffice(powers):
             rms, slow_power_ratio[j] = _noise_in_band(f, np.array(powers), passed_power, experiment.band_hz)
-            noise[j] = min(rms, residual[j])
+            noise[j] = min(rms * np.sqrt(judged.share[j]), residual[j])
 
     mean_squares = []
     for joint_noise, moving_count, at_rest in zip(noise, judged.moving_count, judged.resting, strict=True):
@@ -145,6 +147,8 @@ class _ResidualSamples:
     ----------
     moving_squares, moving_count
         Sum of squares and number of the samples in which the joint moves, shape (nv,).
+    share
+        Mean share of a moving sample that unknown contact forces leave, shape (nv,); 1 with a fixed base.
     resting
         Residual, and largest unknowable torque, of the other samples, batch after batch.
     periodograms
@@ -153,6 +157,7 @@ class _ResidualSamples:
 
     moving_squares: Array
     moving_count: Array
+    share: Array
     resting: list[list[tuple[Array, Array]]]
     periodograms: list[list[Array]]
 
@@ -169,6 +174,7 @@ def _residual_samples(
     joint_count = len(experiment.equation.joints)
     moving_squares = np.zeros(joint_count)
     moving_count = np.zeros(joint_count)
+    share_sum = np.zeros(joint_count)
     resting: list[list[tuple[Array, Array]]] = [[] for _ in range(joint_count)]
     periodograms: list[list[Array]] = [[] for _ in range(joint_count)]
     for run in experiment.runs:
@@ -177,18 +183,30 @@ def _residual_samples(
         for batch in tracked(experiment.batches(run, held_out), parts, progress, "estimating the noise floor"):
             model = LinearizedModel(experiment.equation, theta, batch.motion)
             if of_true_torque:
-                residual = batch.filter(model.residual)
+                residual = experiment.equation.row_filter(batch).all_rows(model.residual)
             else:
                 measured, predicted = experiment.equation.compared_torques(batch, theta)
                 residual = measured - predicted
             moving = np.array(experiment.equation.clean_samples(batch, reversal_margin))
+            shares = _shares(experiment.equation, batch)
+            share_sum += (shares * moving).sum(axis=1)
             moving_squares += (np.square(residual) * moving).sum(axis=1)
             moving_count += moving.sum(axis=1)
             unknowable = _unknowable_torque(model, batch)
             for j in range(joint_count):
                 resting[j].append((residual[j, ~moving[j]], unknowable[j, ~moving[j]]))
-                periodograms[j] += _periodograms(residual[j], moving[j], dt)
-    return _ResidualSamples(moving_squares, moving_count, resting, periodograms)
+                is_known = moving[j] & (shares[j] > _MIN_SHARE)
+                of_whole_row = residual[j] / np.sqrt(np.maximum(shares[j], _MIN_SHARE))
+                periodograms[j] += _periodograms(of_whole_row, is_known, dt)
+    share = share_sum / np.maximum(moving_count, 1)
+    return _ResidualSamples(moving_squares, moving_count, share, resting, periodograms)
+
+
+def _shares(equation: LinearModel, batch: Batch) -> Array:
+    """Share of each row's noise, as power, that unknown contact forces leave; 1 with a fixed base; shape (nv, n)."""
+    if equation.contacts is None:
+        return np.ones((len(equation.joints), len(batch.t)))
+    return np.stack(equation.row_filter(batch).counts)
 
 
 def _suffice(periodograms: Sequence[Array]) -> bool:

@@ -43,8 +43,6 @@ class JointResidual:
         Names of all joints.
     is_prismatic
         True for joints driven by a force, shape (nv,).
-    velocity_deadband
-        Speed at which the sign of a velocity is lost in noise, shape (nv,).
     band
         Highest frequency [Hz].
     energy
@@ -61,7 +59,6 @@ class JointResidual:
     joint: int
     names: tuple[str, ...]
     is_prismatic: tuple[bool, ...]
-    velocity_deadband: Array
     band: float
     energy: Array
     torque: Array
@@ -139,10 +136,11 @@ def _state_regions(residual: JointResidual, among: Mask) -> Iterator[Region]:
     yield from _half_lines(residual, among, "torque", np.abs(series.tau[j]), "", high_torque)
     high_acceleration = f"at accelerations{suffix} above {{}} {a_unit}"
     yield from _half_lines(residual, among, "acceleration", np.abs(series.a[j]), "", high_acceleration)
-    after_reversals = f"in the first {{}} {q_unit} after reversals{suffix}"
-    distance = distance_since_reversal(series, j, float(residual.velocity_deadband[j]))
-    yield from _half_lines(residual, among, "reversal", distance, after_reversals, "")
-    yield from _position_regions(residual, among, q_unit)
+    if series.q[j].any():  # that of a floating base is not measured, and is 0
+        after_reversals = f"in the first {{}} {q_unit} after reversals{suffix}"
+        distance = distance_since_reversal(series, j)
+        yield from _half_lines(residual, among, "reversal", distance, after_reversals, "")
+        yield from _position_regions(residual, among, q_unit)
     for k, name in enumerate(residual.names):
         if k != j:
             moves = f"while {name} moves faster than {{}} {_units(residual.is_prismatic[k])[1]}"
@@ -319,13 +317,13 @@ def _angle_region(residual: JointResidual, valid: Mask, total: float) -> Iterato
     yield Region(score, "angle", f"at {count} {periods} {turn}{residual.suffix}", valid)
 
 
-def distance_since_reversal(series: ResidualSeries, j: int, velocity_deadband: float) -> Array:
+def distance_since_reversal(series: ResidualSeries, j: int) -> Array:
     """Distance of a joint from its last reversal [rad or m], shape (n,); infinite before the first."""
     distance = np.full(len(series.t), np.inf)
     for segment in series.segments:
         q = series.q[j, segment]
         v = series.v[j, segment]
-        moving = np.flatnonzero(np.abs(v) > velocity_deadband)
+        moving = np.flatnonzero(np.abs(v) > series.velocity_deadband[j])
         reversals = moving[1:][np.diff(np.sign(v[moving])) != 0]
         if len(reversals):
             last = np.searchsorted(reversals, np.arange(len(q)), side="right") - 1

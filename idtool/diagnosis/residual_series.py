@@ -41,6 +41,8 @@ class ResidualSeries:
         Measured torque less each model's, as they are compared, shape (m, nv, n).
     valid
         False where the sign of the joint's friction is not known, shape (nv, n).
+    velocity_deadband
+        Speed below which the sign of a velocity is lost in its noise, shape (nv,) [rad/s or m/s].
     segment_starts
         Indices at which a segment without a gap begins.
     """
@@ -53,6 +55,7 @@ class ResidualSeries:
     tau: Array
     residuals: Array
     valid: Mask
+    velocity_deadband: Array
     segment_starts: tuple[int, ...]
 
     @property
@@ -95,7 +98,8 @@ def residual_series(experiment: Experiment, models: Models, progress: Progress, 
         count += len(chunk.t)
     names = ("t", "dt", "q", "v", "a", "tau", "residuals", "valid")
     joined = {name: np.concatenate([getattr(chunk, name) for chunk in chunks], axis=-1) for name in names}
-    return ResidualSeries(**joined, segment_starts=tuple(starts))
+    deadband = np.max([chunk.velocity_deadband for chunk in chunks], axis=0)
+    return ResidualSeries(**joined, velocity_deadband=deadband, segment_starts=tuple(starts))
 
 
 def residual_chunks(
@@ -137,5 +141,6 @@ def _chunk(models: Models, batch: Batch, log_start: float, dt: float, starts_seg
         tau=predicted[-1],
         residuals=np.stack(residuals),
         valid=np.logical_and.reduce(valid),
+        velocity_deadband=motion.velocity_deadband,
         segment_starts=(0,) if starts_segment else (),
     )

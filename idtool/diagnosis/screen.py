@@ -32,6 +32,7 @@ from idtool.diagnosis.linearized_fit import FurtherDirections, LinearizedFit
 from idtool.dynamics.effects.probe import Probe, joined_probe
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.row_filter import RowFilter, SeparateRows
 from idtool.estimation.dataset.experiment import Progress, tracked
 from idtool.robot.config import EffectEntry
 
@@ -316,9 +317,10 @@ def _sums_by_probe(linearized: LinearizedFit, probes: Sequence[Probe], progress:
     max_k = max(probe.coefficient_count for probe in probes)
     sums = _zero_sums(linearized, probes, products_per_column=max_k)
     for batch, model, block_index, number in _training_batches(linearized, progress, stage):
-        Q, e, valid = _model_rows(linearized, batch, number)
+        row_filter = _row_filter(linearized, batch)
+        Q, e = _model_rows(linearized, row_filter, number)
         blocks = _block_slices(block_index)
-        for joint, index, columns in _weighted_columns(linearized, probes, batch, model, valid):
+        for joint, index, columns in _weighted_columns(linearized, probes, row_filter, model):
             probe_rows = _rows_by_probe(starts, index)
             for f, part in blocks:
                 x = columns[:, part]
@@ -331,12 +333,23 @@ def _sums_by_probe(linearized: LinearizedFit, probes: Sequence[Probe], progress:
 
 
 def _weighted_columns(
-    linearized: LinearizedFit, probes: Sequence[Probe], batch: Batch, model: LinearizedModel, valid: Sequence[Array]
+    linearized: LinearizedFit, probes: Sequence[Probe], row_filter: RowFilter, model: LinearizedModel
 ) -> Iterator[tuple[int, Indices, Array]]:
     """`_probe_columns` in units of the noise; 0 at samples that do not count."""
-    for joint, index, filtered in _probe_columns(probes, _coefficient_starts(probes), batch, model):
-        weight = valid[joint] / linearized.noise[joint]
-        yield joint, index, filtered * weight
+    for joint, index, filtered in _probe_columns(probes, _coefficient_starts(probes), row_filter, model):
+        yield joint, index, filtered * _weight(linearized, row_filter, joint)
+
+
+def _row_filter(linearized: LinearizedFit, batch: Batch) -> RowFilter:
+    """What takes the rows of a batch to the band, and tells which of them the fit counts."""
+    return linearized.experiment.equation.row_filter(
+        batch, linearized.row_equation, is_clean=True, min_distance=linearized.reversal_margin
+    )
+
+
+def _weight(linearized: LinearizedFit, row_filter: RowFilter, joint: int) -> Array:
+    """Inverse noise of a joint's samples, 0 at those that do not count, shape (n,)."""
+    return np.asarray((row_filter.counts[joint] > 0) / linearized.noise[joint])
 
 
 def _add_products_with_model(sums: _ProbeSums, f: int, index: Indices, Q: Array, e: Array, columns: Array) -> None:
@@ -378,9 +391,10 @@ def _weighted_batches(
     All columns of a batch are in memory together: this is for few probes, and `_sums_by_probe` for any number.
     """
     for batch, model, block_index, number in _training_batches(linearized, progress, stage):
-        Q, e, valid = _model_rows(linearized, batch, number)
+        row_filter = _row_filter(linearized, batch)
+        Q, e = _model_rows(linearized, row_filter, number)
         parts: dict[int, list[tuple[Indices, Array]]] = {}
-        for joint, index, columns_of_joint in _weighted_columns(linearized, probes, batch, model, valid):
+        for joint, index, columns_of_joint in _weighted_columns(linearized, probes, row_filter, model):
             parts.setdefault(joint, []).append((index, columns_of_joint))
         columns = {}
         for joint, own_parts in parts.items():
@@ -461,33 +475,34 @@ def _model_along(
     return LinearizedModel(equation.owner, theta.owner, motion.owner)
 
 
-def _model_rows(linearized: LinearizedFit, batch: Batch, number: int) -> tuple[list[Array], list[Array], list[Array]]:
-    """By joint: the model's rows by y, (r, n), the residual, (n,), and 1 for each sample that counts, (n,)."""
+def _model_rows(linearized: LinearizedFit, row_filter: RowFilter, number: int) -> tuple[list[Array], list[Array]]:
+    """By joint: the model's rows by y, (r, n), and the residual, (n,), of the batch with a number."""
     equation = linearized.experiment.equation
-    masks = linearized.row_equation.clean_samples(batch, linearized.reversal_margin)
-    Q, e, valid = [], [], []
-    for j, (active, block) in enumerate(zip(equation.active(), equation.filtered_columns(batch), strict=True)):
-        weight = masks[j] / linearized.noise[j]
+    blocks = equation.filtered_columns(row_filter.batch, row_filter)
+    Q, e = [], []
+    for j, (active, block) in enumerate(zip(equation.active(), blocks, strict=True)):
+        weight = _weight(linearized, row_filter, j)
         own_rows = linearized.directions[active].T @ (block[:-1] * weight)
         if linearized.further is not None:
             own_rows = np.concatenate([own_rows, linearized.further.rows(number, j, own_rows)])
         Q.append(own_rows)
         e.append((block[-1] - linearized.theta[active] @ block[:-1]) * weight)
-        valid.append(masks[j].astype(float))
-    return Q, e, valid
+    return Q, e
 
 
 def _probe_columns(
-    probes: Sequence[Probe], starts: Indices, batch: Batch, model: LinearizedModel
+    probes: Sequence[Probe], starts: Indices, row_filter: RowFilter, model: LinearizedModel
 ) -> Iterator[tuple[int, Indices, Array]]:
     """Joint, indices of coefficients, and their filtered columns, shape (m, n).
 
-    A bounded number of columns is evaluated at a time. Those that are kept from an earlier model are not evaluated
-    again, and come all together.
+    A bounded number of columns is evaluated at a time. With a fixed base, those that are kept from an earlier model are
+    not evaluated again, and come all together.
     """
     motion = model.true_motion
     kept = motion.kept_columns
     if kept is not None and not kept.are_along(motion.q, motion.v, motion.a):
+        kept = None
+    if not isinstance(row_filter, SeparateRows):  # columns of all rows would take too much memory
         kept = None
     known: dict[int, list[tuple[int, Array]]] = {}  # by joint: first coefficient and filtered columns
     waiting: dict[int, list[tuple[int, Array]]] = {}  # likewise, unfiltered
@@ -506,25 +521,50 @@ def _probe_columns(
             waiting.setdefault(joint, []).append((start, columns))
             waiting_count[joint] += len(columns)
             if waiting_count[joint] >= _MAX_COLUMNS:
-                yield joint, *_filtered(waiting.pop(joint), batch, kept, keys)
+                yield from _filtered(joint, waiting.pop(joint), row_filter, kept, keys)
                 waiting_count[joint] = 0
     for joint, own in waiting.items():
-        yield joint, *_filtered(own, batch, kept, keys)
+        yield from _filtered(joint, own, row_filter, kept, keys)
     for joint, own in known.items():
         yield joint, _indices(own), np.concatenate([columns for _, columns in own])
 
 
 def _filtered(
-    started_columns: list[tuple[int, Array]], batch: Batch, kept: KeptColumns | None, keys: Mapping[int, Hashable]
-) -> tuple[Indices, Array]:
-    """Indices of coefficients and their filtered columns, from the first index and the columns of each probe."""
-    filtered = batch.filter(np.concatenate([columns for _, columns in started_columns]))
+    joint: int,
+    started_columns: list[tuple[int, Array]],
+    row_filter: RowFilter,
+    kept: KeptColumns | None,
+    keys: Mapping[int, Hashable],
+) -> Iterator[tuple[int, Indices, Array]]:
+    """Columns of a joint's equation, filtered, in all rows in which they appear; see `_probe_columns`.
+
+    Parameters
+    ----------
+    joint
+        The joint.
+    started_columns
+        First index and columns of each probe.
+    row_filter
+        What takes them to the band.
+    kept, keys
+        Where filtered columns are kept, and under which keys, by first index.
+    """
+    index = _indices(started_columns)
+    for row, filtered in row_filter.one_row(joint, np.concatenate([columns for _, columns in started_columns])):
+        if kept is not None:
+            _keep(started_columns, filtered, kept, keys)
+        yield row, index, filtered
+
+
+def _keep(
+    started_columns: list[tuple[int, Array]], filtered: Array, kept: KeptColumns, keys: Mapping[int, Hashable]
+) -> None:
+    """Keep the filtered columns of the probes that have a key."""
     first = 0
     for start, columns in started_columns:
-        if kept is not None and start in keys:
+        if start in keys:
             kept.keep(keys[start], (filtered[first : first + len(columns)].copy(),))
         first += len(columns)
-    return _indices(started_columns), filtered
 
 
 def _indices(started_columns: list[tuple[int, Array]]) -> Indices:

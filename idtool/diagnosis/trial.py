@@ -121,7 +121,8 @@ def with_effects_at(
 ) -> Experiment:
     """`with_effects` with the coefficients, by key, for effects that depend on the rest of the model."""
     config = experiment.config.model_copy(update={"effects": tuple(entries)})
-    equation = LinearModel(experiment.model.names, build_effects(experiment.model, config), operating_point)
+    effects = build_effects(experiment.model, config)
+    equation = LinearModel(experiment.model.names, effects, operating_point, experiment.equation.contacts)
     equalities = equality_constraints(config, experiment.model, equation)
     changed = replace(experiment, config=config, equation=equation, equalities=equalities)
     return with_fixed_inertia(changed) if has_fixed_inertia(experiment) else changed
@@ -603,7 +604,7 @@ def _parameter_probe(
     def columns(motion: Motion, model: Linearization) -> Mapping[int, Array]:
         derivatives = []
         for equation, difference in zip(equations, differences, strict=True):
-            changed = LinearizedModel(equation, current.theta, model.measured_motion)
+            changed = LinearizedModel(equation, current.theta, model.measured_motion, model)
             derivatives.append((model.residual - changed.residual) / difference)
         return {j: np.stack([derivative[j] for derivative in derivatives]) for j in range(len(motion.q))}
 

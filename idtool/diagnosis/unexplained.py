@@ -122,7 +122,8 @@ def no_structure(joints: Sequence[str]) -> list[Candidate]:
 
 def _is_structure(screened: ScreenedProbe, current: LinearizedFit, joint: int, inflation: float) -> bool:
     """True if what a probe explains of a joint's residual is neither chance nor negligible."""
-    explained_rms = np.sqrt(max(screened.gain, 0.0) / current.row_counts[:, joint].sum()) * current.noise[joint]
+    rows = max(current.row_counts[:, joint].sum(), 1.0)
+    explained_rms = np.sqrt(max(screened.gain, 0.0) / rows) * current.noise[joint]
     is_significant = screened.gain > MIN_SIGNIFICANCE**2 * inflation
     return bool(is_significant and explained_rms / current.rms_torque[joint] > NEGLIGIBLE_SHARE)
 

@@ -28,10 +28,8 @@ from idtool.common.arrays import Array, Mask
 from idtool.data.base_sensors import ContactSamples
 from idtool.data.signals import Motion
 from idtool.robot.config import Contact
-from idtool.robot.kinematics import BodyJacobian, body_jacobians, body_motions, body_placements, cross, rotate
+from idtool.robot.kinematics import BodyJacobian, BodyMotion, body_jacobians, body_motions, cross, rotate
 from idtool.robot.model import RobotModel
-
-Placements = Mapping[int, tuple[Array, Array]]  # body → rotation to the base (N, 3, 3), and origin in the base (N, 3)
 
 # Added to the diagonal of the Gram matrix of unit vectors, which is singular where some combination of contact forces
 # exerts nothing.
@@ -70,15 +68,15 @@ class ContactModel:
         if not measured or motion.contacts is None:
             return generalized_force
         contact_samples = motion.contacts
-        jacobians = self._body_jacobians(motion)
-        placements = body_placements(self.model, motion.q)
+        motions = self._body_motions(motion)
+        jacobians = body_jacobians(self.model, motions)
         for i in measured:
             contact = self.contacts[i]
             body = self.model.frames[contact.link].body
-            to_body = self._wrench_to_body(contact, placements, contact_samples)
+            to_body = self._wrench_to_body(contact, motions, contact_samples)
             force = rotate(to_body, contact_samples.wrenches[i, :3])
             moment = rotate(to_body, contact_samples.wrenches[i, 3:])
-            J_linear, J_angular = self._contact_jacobian(contact, jacobians[body], placements, contact_samples)
+            J_linear, J_angular = self._contact_jacobian(contact, jacobians[body], motions, contact_samples)
             of_force = np.einsum("icn,in->cn", J_linear, force)
             of_moment = np.einsum("icn,in->cn", J_angular, moment)
             generalized_force[jacobians[body].coordinates] += of_force + of_moment
@@ -106,16 +104,34 @@ class ContactModel:
         directions = self.unknown_directions(motion)
         if not len(directions):
             return kept_rows
+        unit, _ = self._unit_directions(directions, is_kept)
+        onto_contacts = unit.transpose(0, 2, 1) @ np.linalg.solve(_gram(unit), unit)
+        return np.asarray(kept_rows - onto_contacts)
 
-        by_sample = np.moveaxis(directions, -1, 0)  # (N, k, nv)
+    def unknown_forces(self, directions: Array, residual: Array) -> Array:
+        """Components of the unknown contact forces that explain most of a residual, shape (k, N) [N or N·m].
+
+        Parameters
+        ----------
+        directions
+            From `unknown_directions`, shape (k, nv, N).
+        residual
+            Torque less Y pi, shape (nv, N).
+        """
+        if not len(directions):
+            return np.zeros((0, residual.shape[1]))
+        unit, length = self._unit_directions(directions, np.ones(residual.T.shape))
+        whitened = (residual.T / self.noise)[:, :, None]
+        along_unit = np.linalg.solve(_gram(unit), unit @ whitened)[:, :, 0]
+        return np.asarray(-(along_unit / length[:, :, 0]).T)
+
+    def _unit_directions(self, directions: Array, is_kept: Array) -> tuple[Array, Array]:
+        """Directions in whitened rows, of unit length, shape (N, k, nv), and their lengths before, (N, k, 1)."""
+        by_sample = np.moveaxis(directions, -1, 0)
         in_kept_rows = by_sample / self.noise * is_kept[:, None, :]
         length = np.linalg.norm(in_kept_rows, axis=2, keepdims=True)
         length[length == 0] = 1.0  # of an open contact, which exerts nothing
-        unit = in_kept_rows / length
-        unit_transposed = unit.transpose(0, 2, 1)
-        gram = unit @ unit_transposed + _RIDGE * np.eye(len(directions))
-        onto_contacts = unit_transposed @ np.linalg.solve(gram, unit)
-        return np.asarray(kept_rows - onto_contacts)
+        return in_kept_rows / length, length
 
     def project(self, projector: Array, rows: Array) -> Array:
         """Rows of (1) without what unknown forces can exert: divided by the noise, projected, multiplied by it again.
@@ -148,13 +164,13 @@ class ContactModel:
         if not unknown:
             return np.zeros((0, nv, count))
         contact_samples = _contact_samples(motion)
-        jacobians = self._body_jacobians(motion)
-        placements = body_placements(self.model, motion.q)
+        motions = self._body_motions(motion)
+        jacobians = body_jacobians(self.model, motions)
         directions = []
         for i in unknown:
             contact = self.contacts[i]
             body_jacobian = jacobians[self.model.frames[contact.link].body]
-            J_linear, J_angular = self._contact_jacobian(contact, body_jacobian, placements, contact_samples)
+            J_linear, J_angular = self._contact_jacobian(contact, body_jacobian, motions, contact_samples)
             transmitted = [J_linear]
             if contact.kind == "surface":  # a point transmits no moment
                 transmitted.append(J_angular)
@@ -164,14 +180,17 @@ class ContactModel:
                 directions.append(on_all_coordinates)
         return np.concatenate(directions)
 
-    def _body_jacobians(self, motion: Motion) -> Sequence[BodyJacobian]:
-        """Jacobian of every body along a motion."""
-        zero_rates = np.zeros_like(motion.q)  # Jacobians depend on q alone
-        motions = body_motions(self.model, motion.q, zero_rates, zero_rates)
-        return body_jacobians(self.model, motions)
+    def _body_motions(self, motion: Motion) -> Sequence[BodyMotion]:
+        """Motion of every body without its rates: Jacobians depend on q alone."""
+        zero_rates = np.zeros_like(motion.q)
+        return body_motions(self.model, motion.q, zero_rates, zero_rates)
 
     def _contact_jacobian(
-        self, contact: Contact, body_jacobian: BodyJacobian, placements: Placements, contact_samples: ContactSamples
+        self,
+        contact: Contact,
+        body_jacobian: BodyJacobian,
+        motions: Sequence[BodyMotion],
+        contact_samples: ContactSamples,
     ) -> tuple[Array, Array]:
         """Jacobian of a contact's point in the axes of its body, linear and angular part, shape (3, c, N) each."""
         link_frame = self.model.frames[contact.link]
@@ -179,7 +198,7 @@ class ContactModel:
         point = (link_frame.p + link_frame.R @ in_link)[:, None]
         if contact.radius:  # a ball touches level ground a radius below its centre
             up_in_base = contact_samples.world_to_base[:, 2]
-            up = rotate(_base_to_body(placements, link_frame.body), up_in_base)
+            up = rotate(self._base_to_body(motions, link_frame.body), up_in_base)
             point = point - contact.radius * up
         by_rotation = cross(body_jacobian.S_w, point[:, None])
         J_linear = body_jacobian.S_v + by_rotation
@@ -187,19 +206,28 @@ class ContactModel:
         shape = (3, coordinates, count)  # a Jacobian that does not depend on q has one sample
         return np.broadcast_to(J_linear, shape), np.broadcast_to(body_jacobian.S_w, shape)
 
-    def _wrench_to_body(self, contact: Contact, placements: Placements, contact_samples: ContactSamples) -> Array:
+    def _wrench_to_body(
+        self, contact: Contact, motions: Sequence[BodyMotion], contact_samples: ContactSamples
+    ) -> Array:
         """Rotation from the axes of a measured wrench to those of its body, shape (3, 3, N) or (3, 3, 1)."""
         link_frame = self.model.frames[contact.link]
         if contact.frame == "link":
             return link_frame.R[:, :, None]
-        base_to_body = _base_to_body(placements, link_frame.body)
+        base_to_body = self._base_to_body(motions, link_frame.body)
         return np.asarray(np.einsum("ij...,jk...->ik...", base_to_body, contact_samples.world_to_base))
 
+    def _base_to_body(self, motions: Sequence[BodyMotion], body: int) -> Array:
+        """Rotation from the axes of the base to those of a body, shape (3, 3, N) or (3, 3, 1)."""
+        base_to_body = np.eye(3)[:, :, None]
+        while body >= 0:
+            base_to_body = np.einsum("ij...,jk...->ik...", base_to_body, motions[body].R)
+            body = self.model.bodies[body].mount.body
+        return base_to_body
 
-def _base_to_body(placements: Placements, body: int) -> Array:
-    """Rotation from the axes of the base to those of a body, shape (3, 3, N) or (3, 3, 1)."""
-    body_to_base, _ = placements[body]
-    return body_to_base.transpose(2, 1, 0)  # its inverse, samples last
+
+def _gram(unit: Array) -> Array:
+    """Gram matrices of directions of unit length, shape (N, k, nv), made regular; shape (N, k, k)."""
+    return np.asarray(unit @ unit.transpose(0, 2, 1) + _RIDGE * np.eye(unit.shape[1]))
 
 
 def _contact_samples(motion: Motion) -> ContactSamples:

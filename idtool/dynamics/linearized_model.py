@@ -18,8 +18,10 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.data.column_cache import KeptColumns
 from idtool.data.signals import Batch, Motion
+from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import Coefficient, Effect, NamedEffect, RigidBodies
 from idtool.dynamics.effects.joint_term import DryFriction
+from idtool.dynamics.effects.linearization import Linearization
 from idtool.robot.inertia import PI_SIZE
 
 _RATE = 150.0  # Hz, of the samples at which derivatives are evaluated
@@ -38,6 +40,10 @@ class TorqueEquation(Protocol):
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The terms."""
+
+    @property
+    def contacts(self) -> ContactModel | None:
+        """Contacts of a robot with a floating base."""
 
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
@@ -75,20 +81,64 @@ class LinearizedModel:
         Its coefficients, shape (p,).
     motion
         As measured.
+    with_contacts_of
+        Model whose unknown contact forces act here too; None: those that explain most of the residual.
     """
 
-    def __init__(self, equation: TorqueEquation, theta: Array, motion: Motion) -> None:
+    def __init__(
+        self, equation: TorqueEquation, theta: Array, motion: Motion, with_contacts_of: Linearization | None = None
+    ) -> None:
         self.equation = equation
         self.theta = theta
         self.measured_motion = motion
         self.true_motion = equation.true_motion(motion)
+        self._with_contacts_of = with_contacts_of
         self._stride = max(1, int(1 / (_RATE * motion.dt)))
         self._friction_torques: dict[int, Array] = {}
         self._derivatives: dict[tuple[str, int], Array] = {}
 
     @cached_property
     def residual(self) -> Array:
-        """Measured torque less the model's, both as the equation has them, unfiltered; shape (nv, N)."""
+        """Measured torque less the model's, both as the equation has them, unfiltered; shape (nv, N).
+
+        The torque of unknown contact forces is the model's.
+        """
+        if self.equation.contacts is None:
+            return self._residual_without_contacts
+        return self._residual_without_contacts + self.contact_torque
+
+    @property
+    def contact_forces(self) -> Array:
+        """Components of the unknown contact forces, shape (k, N) [N or N·m]; k is 0 with a fixed base."""
+        forces, _ = self._contacts
+        return forces
+
+    @property
+    def contact_torque(self) -> Array:
+        """Generalized force of the unknown contact forces, shape (nv, N) [N·m or N]."""
+        _, torque = self._contacts
+        return torque
+
+    @cached_property
+    def _contacts(self) -> tuple[Array, Array]:
+        """Unknown contact forces, and their generalized force."""
+        contacts = self.equation.contacts
+        motion = self.true_motion
+        if contacts is None:
+            return np.zeros((0, len(motion.t))), np.zeros_like(motion.q)
+        given = self._with_contacts_of
+        if given is not None and motion.q is given.true_motion.q and motion.contacts is given.true_motion.contacts:
+            return given.contact_forces, given.contact_torque
+        directions = contacts.unknown_directions(motion)
+        if given is not None:
+            forces = given.contact_forces
+        else:
+            forces = contacts.unknown_forces(directions, self._residual_without_contacts)
+        return forces, np.einsum("kin,kn->in", directions, forces)
+
+    @cached_property
+    def _residual_without_contacts(self) -> Array:
+        """Measured torque less the model's, but for the unknown contact forces, shape (nv, N)."""
         return self.equation.residual(self.measured_motion, self.theta)
 
     @cached_property
@@ -102,7 +152,7 @@ class LinearizedModel:
         return self._rigid_body_torque_change(joint, dq, dv, da) - rotor_torque
 
     def _rigid_body_torque_change(self, joint: int, dq: Array, dv: Array, da: Array) -> Array:
-        """First-order change of the rigid bodies' torque where a joint moves by dq, dv and da, shape (nv, N)."""
+        """First-order change of the torque of bodies and contacts where a joint moves by dq, dv and da, (nv, N)."""
         change = np.zeros_like(self.true_motion.q)
         for name, displacement in zip("qva", (dq, dv, da), strict=True):
             if displacement.any():
@@ -231,6 +281,7 @@ class LinearizedModel:
             tau=m.tau[:, ::stride],
             logged_tau=m.logged_tau[:, ::stride],
             dt=m.dt * stride,
+            contacts=None if m.contacts is None else m.contacts.every(stride),
         )
 
     def _at_all_samples(self, rows: Array) -> Array:
@@ -244,7 +295,7 @@ class LinearizedModel:
         return bodies.torque(theta, motion)
 
     def _derivative(self, name: str, joint: int) -> Array:
-        """Derivative of all joints' torque of rigid bodies by q, v or a of one joint, shape (nv, N)."""
+        """Derivative of all joints' torque of bodies and contacts by q, v or a of one joint, shape (nv, N)."""
         key = name, joint
         if key not in self._derivatives:
             self._derivatives[key] = self._at_all_samples(self._finite_difference(name, joint))
@@ -255,8 +306,25 @@ class LinearizedModel:
         stepped = getattr(self._some_samples, name).copy()
         step = _ACCELERATION_STEP if name == "a" else _STEP
         stepped[joint] += step
-        torque = self._rigid_body_torque(replace(self._some_samples, **{name: stepped}), self._bodies)
-        return (torque - self._torque_at_some_samples) / step
+        stepped_motion = replace(self._some_samples, **{name: stepped})
+        difference = self._rigid_body_torque(stepped_motion, self._bodies) - self._torque_at_some_samples
+        if name == "q":
+            difference -= self._contact_torque(stepped_motion) - self._contact_torque_at_some_samples
+        return np.asarray(difference / step)
+
+    def _contact_torque(self, motion: Motion) -> Array:
+        """Generalized force of the contacts at some samples, which depends on the position alone, shape (nv, n)."""
+        contacts = self.equation.contacts
+        if contacts is None:
+            return np.zeros_like(motion.q)
+        forces = self.contact_forces[:, :: self._stride]
+        of_unknown = np.einsum("kin,kn->in", contacts.unknown_directions(motion), forces)
+        return np.asarray(contacts.measured_force(motion) + of_unknown)
+
+    @cached_property
+    def _contact_torque_at_some_samples(self) -> Array:
+        """Generalized force of the contacts at some samples, shape (nv, n)."""
+        return self._contact_torque(self._some_samples)
 
     @cached_property
     def _torque_at_some_samples(self) -> Array:

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import partial
+from hashlib import blake2b
 
 import numpy as np
 from scipy import ndimage
@@ -24,10 +26,10 @@ from idtool.dynamics.effects.rigid_body import RigidBodies
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.linearized_model import LinearizedModel, effect_columns, kept_columns_of, kept_effect_columns
 from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.row_filter import Counts, ProjectedRows, RowFilter, SeparateRows
 from idtool.robot.model import RobotModel
 
 _MAX_INVALID_WEIGHT = 0.3  # share of a valid filtered sample's weight that may come from invalid samples
-_MIN_SHARE_OF_ROW = 1e-6  # that unknown contact forces leave, for it to count
 _PROJECTED_TOGETHER = 40  # columns from which contact forces are eliminated together, to bound the memory
 _CLEAN_WEIGHT = 0.03  # share by magnitude up to which invalid samples do not show in a filtered one
 
@@ -197,10 +199,18 @@ class LinearModel:
                 torque -= _torque(effect, theta[part], true_motion)
         return torque
 
-    def filtered_columns(self, batch: Batch) -> list[Array]:
-        """Filtered columns and torque of all samples, per joint; shape (m_j + 1, n) each, the torque last."""
+    def filtered_columns(self, batch: Batch, row_filter: RowFilter | None = None) -> list[Array]:
+        """Filtered columns and torque of all samples, per joint; shape (m_j + 1, n) each, the torque last.
+
+        Parameters
+        ----------
+        batch
+            The samples.
+        row_filter
+            From `row_filter`; None: that of this equation.
+        """
         if self.contacts is not None:
-            return self._projected_columns(batch, self.contacts)
+            return self._projected_columns(row_filter or self.row_filter(batch))
         true = self.true_motion(batch.motion)
         tau = batch.filter(self._identified_torque(true))
         parts: list[list[Array]] = [[] for _ in self.joints]
@@ -209,30 +219,58 @@ class LinearModel:
                 part.append(columns)
         return [np.concatenate([*part, row[None]]) for part, row in zip(parts, tau, strict=True)]
 
-    def _projected_columns(self, batch: Batch, contacts: ContactModel) -> list[Array]:
+    def _projected_columns(self, row_filter: RowFilter) -> list[Array]:
         """`filtered_columns` without what unknown contact forces can exert."""
-        return self._projected_by(self._projector(batch.motion, contacts), batch, contacts)
+        true = self.true_motion(row_filter.batch.motion)
+        parts = [_projected_columns_of(effect, true, row_filter) for effect in self.effects]
+        tau = row_filter.all_rows(self._identified_torque(true))
+        return list(np.concatenate([*parts, tau[:, None]], axis=1))
 
-    def _projected_by(self, projector: Array, batch: Batch, contacts: ContactModel) -> list[Array]:
-        """Filtered columns and torque behind a projector."""
+    def row_filter(
+        self, batch: Batch, defined_for: LinearModel | None = None, is_clean: bool = False, min_distance: float = 0.0
+    ) -> RowFilter:
+        """What takes the rows to the band, and tells which of them count.
+
+        Parameters
+        ----------
+        batch
+            The samples.
+        defined_for
+            Equation whose columns must be defined where a row counts; None: this one.
+        is_clean
+            True for the rows of `clean_samples`, False for those of `valid_samples`. With contacts, they are the same:
+            a joint's row is left out at every sample at which it is not defined, before the filter can spread it.
+        min_distance
+            Least distance in time of a clean sample from invalid ones and reversals [s].
+        """
+        counting = defined_for or self
+        if self.contacts is None:
+            masks = counting.clean_samples(batch, min_distance) if is_clean else counting.valid_samples(batch)
+            return SeparateRows(batch, masks)
         true = self.true_motion(batch.motion)
-        filtered = []
-        for effect in self.effects:
-            own_columns = effect_columns(effect, true)
-            for first in range(0, len(effect.coefficients), _PROJECTED_TOGETHER):
-                chosen = range(first, min(first + _PROJECTED_TOGETHER, len(effect.coefficients)))
-                rows = _rows_of(effect, own_columns, chosen)
-                filtered.append(batch.filter(contacts.project(projector, rows)))
-        tau = batch.filter(contacts.project(projector, self._identified_torque(true)))
-        columns = np.concatenate([*filtered, tau[:, None]], axis=1)
-        return list(columns)
+        undefined = counting._undefined_along(batch.motion, min_distance)
+        evaluate = partial(self.contacts.projector, true, undefined)
+        kept = true.kept_columns
+        if kept is None or not kept.are_along(true.q, true.v, true.a):
+            return ProjectedRows(batch, self.contacts, evaluate())
+        digest = blake2b()
+        for joint, mask in sorted(undefined.items()):
+            digest.update(joint.to_bytes(4) + np.packbits(mask).tobytes())
+        key = ("projector", IdentityKey(self.contacts), digest.digest())
+        (projector,) = kept.get(key, lambda: (evaluate(),))
+        return ProjectedRows(batch, self.contacts, projector, key)
 
-    def _projector(self, motion: Motion, contacts: ContactModel) -> Array:
-        """Projector onto what unknown forces cannot exert along a motion, shape (N, nv, nv)."""
-        resting = {}
+    def _undefined_along(self, motion: Motion, min_distance: float) -> dict[int, Mask]:
+        """By joint, mask of the samples of a motion at which columns are not defined, or that are near them."""
+        reach = round(min_distance / motion.dt)
+        true = self.true_motion(motion)
+        undefined = {}
         for joint, masks in self._invalid_masks_along(motion).items():
-            resting[joint] = np.logical_or.reduce(masks)
-        return contacts.projector(self.true_motion(motion), resting)
+            mask = np.logical_or.reduce(masks)
+            if reach:
+                mask = ndimage.binary_dilation(mask | reversals(true.v[joint]), iterations=reach)
+            undefined[joint] = mask
+        return undefined
 
     def delayed_torques(self, motion: Motion) -> Array:
         """The last rows of `columns` with each of the motion's ``torques``, shape (K, nv, N)."""
@@ -288,23 +326,15 @@ class LinearModel:
         """Filtered columns and torque of all samples, and the mask of valid ones, shape (n,); per joint."""
         return self.filtered_columns(batch), self.valid_samples(batch)
 
-    def counted_rows(self, batch: Batch) -> tuple[list[Array], list[Mask] | list[Array]]:
-        """`filtered_rows`, with contacts the share of each row that unknown forces leave of it, from 0 to 1.
-
-        The squared error of a row is the noise's square times its share.
-        """
-        if self.contacts is None:
-            return self.filtered_rows(batch)
-        projector = self._projector(batch.motion, self.contacts)
-        diagonal = np.ascontiguousarray(np.diagonal(projector, axis1=1, axis2=2).T)
-        shares = np.clip(batch.filter(diagonal), 0.0, 1.0)
-        shares[shares < _MIN_SHARE_OF_ROW] = 0.0  # what is left of the row is rounding
-        return self._projected_by(projector, batch, self.contacts), list(shares)
+    def counted_rows(self, batch: Batch) -> tuple[list[Array], Counts]:
+        """Filtered columns and torque of all samples, and the share of each sample that counts, shape (n,); per row."""
+        row_filter = self.row_filter(batch)
+        return self.filtered_columns(batch, row_filter), row_filter.counts
 
     def valid_samples(self, batch: Batch) -> list[Mask]:
         """Per joint, mask of the filtered samples whose columns are defined, shape (n,).
 
-        With contacts, all are: a joint at rest, whose friction is unknown, is left out of the rows before the filter.
+        With contacts, all are; see `row_filter`.
         """
         valid = [np.ones(len(batch.t), dtype=bool) for _ in self.joints]
         if self.contacts is not None:
@@ -331,15 +361,12 @@ class LinearModel:
             Least distance in time from invalid samples and reversals [s].
         """
         clean = self.valid_samples(batch)
-        true = self.true_motion(batch.motion)
-        reach = round(min_distance / batch.motion.dt)
-        for joint, masks in self._invalid_masks(batch).items():
-            invalid = np.logical_or.reduce(masks)
-            if reach:
-                invalid = ndimage.binary_dilation(invalid | reversals(true.v[joint]), iterations=reach)
+        if self.contacts is not None:
+            return clean
+        for joint, invalid in self._undefined_along(batch.motion, min_distance).items():
             weight = batch.low_pass.masked_share(invalid, batch.before, batch.after)
             limit = _CLEAN_WEIGHT
-            if not reach:
+            if min_distance == 0:
                 limit = max(limit, float(np.median(weight)))
             clean[joint] &= weight <= limit
         return clean
@@ -349,9 +376,12 @@ class LinearModel:
 
         Returns
         -------
-        Those of friction, whose direction is unknown there, and those of other effects, shape (nv, n) each.
+        Those of friction, whose direction is unknown there, and those of other effects, shape (nv, n) each. With
+        contacts, they are 0: such samples are left out of the rows before the filter.
         """
         shares = np.zeros((2, len(self.joints), len(batch.t)))
+        if self.contacts is not None:
+            return shares[0], shares[1]
         for row, is_friction in zip(shares, (True, False), strict=True):
             for joint, masks in self._invalid_masks(batch, is_friction).items():
                 invalid = np.logical_or.reduce(masks)
@@ -382,6 +412,9 @@ class LinearModel:
                 continue
             for joint, mask in effect.invalid_mask(true).items():
                 masks.setdefault(joint, []).append(mask)
+        if not is_friction:
+            for joint in motion.unknown_torque:
+                masks.setdefault(joint, []).append(np.ones(len(motion.t), dtype=bool))
         return masks
 
     def torque(self, motion: Motion, theta: Array) -> Array:
@@ -425,7 +458,7 @@ class LinearModel:
         motor and the log, such as a gain, is then undone too.
 
         Torque sensors see the predicted torque in the band: bent by one that saturates, the noise of its accelerations
-        would not average to zero.
+        would not average to zero. The two do not differ at joints whose torque is not known.
 
         Parameters
         ----------
@@ -439,7 +472,7 @@ class LinearModel:
         Filtered, shapes (nv, n) and (..., nv, n) [N·m or N].
         """
         if self.contacts is not None:
-            return self._torques_without_contacts(batch, theta, self.contacts)
+            return self._torques_without_contacts(batch, theta)
         undone = self._undone_sensors()
         measured = batch.motion
         for effect in reversed(undone):
@@ -454,16 +487,18 @@ class LinearModel:
         for effect in remaining:
             if isinstance(effect, TorqueSensorEffect):
                 predicted = effect.apply_sensor(predicted, batch.motion)
-        return batch.filter(measured.tau), predicted
+        measured_torque = batch.filter(measured.tau)
+        for joint in batch.motion.unknown_torque:
+            predicted[..., joint, :] = measured_torque[joint]
+        return measured_torque, predicted
 
-    def _torques_without_contacts(self, batch: Batch, theta: Array, contacts: ContactModel) -> tuple[Array, Array]:
+    def _torques_without_contacts(self, batch: Batch, theta: Array) -> tuple[Array, Array]:
         """`compared_torques` that differ by what no unknown contact force explains."""
         true = self.true_motion(batch.motion)
-        projector = self._projector(batch.motion, contacts)
         error = self._identified_torque(true) - self._predicted_by_columns(batch.motion, theta)
-        unexplained = contacts.project(projector, np.moveaxis(error, -2, 0))
+        by_row = self.row_filter(batch).all_rows(np.moveaxis(error, -2, 0))
         measured = batch.filter(true.tau)
-        return measured, measured - batch.filter(np.moveaxis(unexplained, 0, -2))
+        return measured, measured - np.moveaxis(by_row, 0, -2)
 
     def _undone_sensors(self) -> list[Effect]:
         """Sensors behind which errors are compared: motors that saturate, and what is nearer to the log on a joint.
@@ -495,6 +530,31 @@ class LinearModel:
         for effect, part in self.effect_slices():
             effect.add_to_forward_model(theta[part], mechanism)
         return mechanism
+
+
+def _projected_columns_of(effect: Effect, motion: Motion, row_filter: RowFilter) -> Array:
+    """Filtered columns of an effect along a true motion in all rows, shape (nv, m, n); kept ones where there are."""
+
+    def evaluate() -> tuple[Array]:
+        columns = effect_columns(effect, motion)
+        nv, m, n = len(columns), len(effect.coefficients), len(row_filter.batch.t)
+        filtered = np.zeros((nv, m, n))
+        own_rows = [row for row, active in enumerate(effect.active) if len(active)]
+        if len(own_rows) == 1:
+            (row,) = own_rows
+            for other, passed_on in row_filter.one_row(row, columns[row]):
+                filtered[other, effect.active[row]] = passed_on
+            return (filtered,)
+        for first in range(0, m, _PROJECTED_TOGETHER):
+            chosen = range(first, min(first + _PROJECTED_TOGETHER, m))
+            filtered[:, chosen.start : chosen.stop] = row_filter.all_rows(_rows_of(effect, columns, chosen))
+        return (filtered,)
+
+    kept = kept_columns_of(effect, motion)
+    if kept is None or not isinstance(row_filter, ProjectedRows) or row_filter.key is None:
+        return evaluate()[0]
+    (filtered,) = kept.get((row_filter.key, effect.column_key), evaluate)
+    return filtered
 
 
 def _rows_of(effect: Effect, columns: Sequence[Array], chosen: range) -> Array:

@@ -188,7 +188,7 @@ def fit(
         seconds=clock.seconds,
         delay=delay,
     )
-    if simulate and not experiment.model.has_floating_base:
+    if simulate and experiment.model.has_only_joints:
         fitted = with_simulation(fitted, simulate_fit(fitted, progress))
     clock.stop("simulate")
     return fitted

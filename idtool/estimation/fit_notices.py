@@ -21,6 +21,7 @@ _MASS_RATIO = 3.0  # to its mass in the prior, of a body that is too heavy or to
 _TOTAL_MASS_CHANGE = 0.3  # relative to the prior's total mass
 _THIN = 0.1  # radius of gyration relative to the prior's, below which a body is a plate or a needle
 _RIM = 1e-3  # margin within a bounding ellipsoid, relative to the mass
+_MAX_RATIO_TO_PRIOR = 1.001  # of the errors of a model and its prior, up to which one is no worse than the other
 _ABSURD = 30.0  # the prior's torque error relative to the measured torque's spread
 _THIN_SHAPES = ("plate", "needle", "point")  # by how many axes a body has no extent along
 
@@ -161,7 +162,7 @@ def _error_notices(
         message = f"the prior's torque error, {prior:.3g}, is {prior / spread:.0f} times the measured torque"
         advice = "a unit in the URDF or the configuration may be wrong"
         yield Notice("prior_error_large", "warning", None, message, advice)
-    if held_out and own > prior:
+    if held_out and own > _MAX_RATIO_TO_PRIOR * prior:
         errors = f"error {own:.3g} instead of {prior:.3g}"
         message = f"the identified model predicts the held-out data worse than the URDF does ({errors})"
         yield Notice("worse_than_prior", "problem", None, message)

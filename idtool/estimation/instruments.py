@@ -82,7 +82,7 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
     ModelError
         If the model cannot be simulated, or runs away.
     """
-    if experiment.model.has_floating_base:
+    if not experiment.model.has_only_joints:
         raise ModelError("--method iv", "needs a fixed base; use least squares for a robot whose base moves")
     signals, controller = run.signals, experiment.config.controller
     kind: Kind

@@ -12,6 +12,7 @@ from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry, friction_types
+from idtool.dynamics.effects.torque_offset import TorqueOffset
 from idtool.estimation.dataset.equality_constraints import Constraint
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.fit import Fit
@@ -34,6 +35,7 @@ from idtool.reporting.results.fit import (
     TorqueErrors,
     UnionPart,
     WholeRobotReport,
+    WrenchSensorReport,
 )
 from idtool.reporting.results.rollouts import Simulation
 from idtool.reporting.results.validation import ModelErrors, ValidationReport
@@ -84,6 +86,7 @@ def fit_report(fit: Fit) -> FitReport:
         noise=dict(zip(joints, fit.estimate.noise.tolist(), strict=True)),
         bodies={body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
         whole_robot=whole_robot_report(fit),
+        wrench_sensors=wrench_sensor_reports(fit),
         friction={joint: friction_report(fit, joint) for joint in experiment.model.joint_names},
         friction_intervals={joint: friction_intervals(fit, joint) for joint in experiment.model.joint_names},
         effects=[effect_report(fit, entry) for entry in experiment.config.effects],
@@ -183,6 +186,28 @@ def whole_robot_report(fit: Fit) -> WholeRobotReport | None:
         com_standard_error=tuple(errors[1:]),
         prior_com=np.array(prior_moment) / prior_mass,
     )
+
+
+def wrench_sensor_reports(fit: Fit) -> dict[str, WrenchSensorReport]:
+    """Readings without load of the wrench sensors whose offset was identified."""
+    experiment = fit.experiment
+    names = experiment.model.names
+    reports = {}
+    for i, (joint, to_body) in enumerate(experiment.model.wrench_sensors.items()):
+        rows = names[experiment.model.sensor_coordinates(i)]
+        indices = [_coefficient_index(fit, TorqueOffset.id, row) for row in rows]
+        to_reading = np.zeros((len(rows), len(experiment.equation.coefficients)))
+        for column, index in zip(np.linalg.inv(to_body).T, indices, strict=True):
+            if index is None:
+                break
+            to_reading[:, index] = column
+        else:
+            offset = to_reading @ fit.estimate.theta
+            errors = fit.uncertainty.of(to_reading).tolist()
+            reports[joint] = WrenchSensorReport(
+                offset=offset.tolist(), standard_error=[_finite_or_none(error) for error in errors]
+            )
+    return reports
 
 
 def body_report(fit: Fit, index: int, body: Body) -> BodyReport:
@@ -302,6 +327,10 @@ def model_config(fit: Fit) -> dict[str, Any]:
     if contacts is not None:
         noise = dict(zip(experiment.equation.joints, round_to_digits(contacts.noise, 4).tolist(), strict=True))
         data["base"] = {**data["base"], "noise": noise}
+    sensors = wrench_sensor_reports(fit)
+    for sensor in data.get("wrench_sensors", ()):
+        if sensor["joint"] in sensors:
+            sensor["offset"] = round_to_digits(np.array(sensors[sensor["joint"]].offset), 6).tolist()
     for entry, given in zip(data.get("effects", ()), config.effects, strict=True):
         entry["parameters"].update(_effect_parameters(fit, given))
     robot_links = experiment.model.robot.links

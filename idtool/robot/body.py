@@ -78,7 +78,10 @@ class Body:
     members
         The URDF links it is made of, the one that gives the name first; none for a rotor that is not in the URDF.
     is_base
-        True for a floating base, which moves with the six base coordinates and not along an axis.
+        True for a floating base.
+    first_free_coordinate
+        First of the six coordinates of a body that moves freely against its parent, along and about the axes of its own
+        frame: a floating base, or what a wrench sensor carries, for which they are 0. None: it moves along an axis.
     """
 
     name: str
@@ -94,6 +97,7 @@ class Body:
     shapes: tuple[Shape, ...] = ()
     com: tuple[float, float, float] | None = None
     is_base: bool = False
+    first_free_coordinate: int | None = None
 
     def axial_inertia(self, pi: Array) -> float:
         """Moment of inertia about the body's axis [kg·m²] with parameters in its frame, shape (10,)."""

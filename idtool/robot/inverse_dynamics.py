@@ -7,7 +7,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.robot.inertia import symmetric_matrix
 from idtool.robot.kinematics import BodyMotion, body_motions, cross, rotate
-from idtool.robot.model import RobotModel
+from idtool.robot.model import WRENCH_SIZE, RobotModel
 
 
 def inverse_dynamics(model: RobotModel, pi: Array, q: Array, v: Array, a: Array) -> Array:
@@ -31,8 +31,9 @@ def inverse_dynamics(model: RobotModel, pi: Array, q: Array, v: Array, a: Array)
         body = model.bodies[i]
         motion = motions[i]
         force, moment = wrenches[i]
-        if body.is_base:
-            torque[model.joint_count :] += np.concatenate([force, moment])
+        first = body.first_free_coordinate
+        if first is not None:
+            torque[first : first + WRENCH_SIZE] += np.concatenate([force, moment])
         along_axis = body.axis @ (force if body.prismatic else moment)
         for joint in np.flatnonzero(body.ratios):
             torque[joint] += body.ratios[joint] * along_axis

@@ -119,8 +119,8 @@ def body_jacobians(model: RobotModel, motions: Sequence[BodyMotion]) -> list[Bod
 
 def _base_motion(model: RobotModel, ground: BodyMotion, v: Array, a: Array) -> BodyMotion:
     """Motion of a floating base, whose coordinates are along the axes of its own frame."""
-    angular_velocity = v[model.joint_count + 3 :]
-    acceleration = a[model.joint_count :]
+    angular_velocity = v[model.base_coordinates][3:]
+    acceleration = a[model.base_coordinates]
     return BodyMotion(ground.R, ground.p, angular_velocity, acceleration[3:], acceleration[:3])
 
 
@@ -207,7 +207,11 @@ def _moved_jacobian(body: Body, motion: BodyMotion, parent: BodyJacobian, coordi
     S_w[:, parent_columns] = rotate(motion.R, parent.S_w)
     S_v[:, parent_columns] = rotate(motion.R, parent.S_v + cross(parent.S_w, motion.p[:, None]))
     own_columns = body.axis[:, None, None] * body.ratios[coordinates, None]
-    if body.prismatic:
+    if body.first_free_coordinate is not None:
+        first = int(np.searchsorted(coordinates, body.first_free_coordinate))
+        S_v[:, first : first + 3] = np.eye(3)[:, :, None]
+        S_w[:, first + 3 : first + 6] = np.eye(3)[:, :, None]
+    elif body.prismatic:
         S_v += own_columns
     else:
         S_w += own_columns

@@ -16,7 +16,7 @@ accelerometer measures and which includes gravity. The generalized forces on the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,20 +28,15 @@ from idtool.common.names import join_names, suggestion
 from idtool.common.notice import Notice
 from idtool.robot.body import Body, Frame, Member
 from idtool.robot.bounding import bounding_shape
-from idtool.robot.config import BoundingEllipsoid, Config, RotorConfig
+from idtool.robot.config import BoundingEllipsoid, Config, RotorConfig, WrenchSensor
 from idtool.robot.ellipsoid import Ellipsoid
-from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia, symmetric_matrix
+from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia, skew, symmetric_matrix
 from idtool.robot.shapes import Shape
 from idtool.robot.urdf.reading import Robot, UrdfJoint
 
-BASE_COORDINATES = (
-    "base_force_x",
-    "base_force_y",
-    "base_force_z",
-    "base_moment_x",
-    "base_moment_y",
-    "base_moment_z",
-)
+_WRENCH = ("force_x", "force_y", "force_z", "moment_x", "moment_y", "moment_z")
+WRENCH_SIZE = len(_WRENCH)
+BASE_COORDINATES = tuple(f"base_{part}" for part in _WRENCH)
 
 
 @dataclass(frozen=True)
@@ -53,11 +48,16 @@ class RobotModel:
     robot
         The URDF it came from.
     joints
-        The moving joints, in the order of q, and those that stand for the coordinates of a floating base; nv in all.
+        The moving joints, in the order of q, and those that stand for the coordinates of wrench sensors and of a
+        floating base; nv in all.
     bodies
-        A floating base, links in the URDF's order, then rotors; parents before children.
+        A floating base, links in the URDF's order, then rotors; parents before children. What a wrench sensor carries
+        is a body of its own.
     frames
         Frame of every URDF link.
+    wrench_sensors
+        By fixed joint, what turns the reading of its sensor into the wrench on the body that it carries, about the
+        origin and along the axes of the body's frame; shape (6, 6).
     gravity
         In the root link's frame, shape (3,) [m/s²]; 0 with a floating base, whose acceleration includes it.
     notices
@@ -70,10 +70,11 @@ class RobotModel:
     gravity: Array
     notices: tuple[Notice, ...] = ()
     frames: Mapping[str, Frame] = field(default_factory=dict)
+    wrench_sensors: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the moving joints, and of the coordinates of a floating base."""
+        """Names of the moving joints, of the coordinates of wrench sensors, and of those of a floating base."""
         return tuple(joint.name for joint in self.joints)
 
     @property
@@ -83,8 +84,23 @@ class RobotModel:
 
     @property
     def joint_count(self) -> int:
-        """Number of moving joints; the coordinates of a floating base come after them."""
-        return len(self.joints) - len(BASE_COORDINATES) if self.has_floating_base else len(self.joints)
+        """Number of moving joints; after them come the coordinates of wrench sensors, then those of a floating base."""
+        return len(self.joints) - WRENCH_SIZE * (len(self.wrench_sensors) + self.has_floating_base)
+
+    @property
+    def has_only_joints(self) -> bool:
+        """True if all coordinates are joints, so that the model can be simulated under the joints' torque."""
+        return len(self.joints) == self.joint_count
+
+    @property
+    def base_coordinates(self) -> slice:
+        """Coordinates of a floating base."""
+        return slice(len(self.joints) - WRENCH_SIZE, len(self.joints))
+
+    def sensor_coordinates(self, sensor: int) -> slice:
+        """Coordinates of a wrench sensor, by its place in ``wrench_sensors``."""
+        first = self.joint_count + WRENCH_SIZE * sensor
+        return slice(first, first + WRENCH_SIZE)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -106,8 +122,9 @@ class RobotModel:
         support = np.zeros((len(self.bodies), len(self.joints)), dtype=bool)
         for i, body in enumerate(self.bodies):
             support[i] = body.ratios != 0
-            if body.is_base:
-                support[i, self.joint_count :] = True
+            first = body.first_free_coordinate
+            if first is not None:
+                support[i, first : first + WRENCH_SIZE] = True
             if body.mount.body >= 0:
                 support[i] |= support[body.mount.body]
         return support
@@ -125,16 +142,16 @@ class RobotModel:
         return inertia
 
 
-def _base_coordinates(robot: Robot) -> Iterator[UrdfJoint]:
-    """The coordinates of a floating base as joints: three that slide and three that turn."""
+def _free_coordinates(names: Sequence[str], link: str) -> Iterator[UrdfJoint]:
+    """Six coordinates of a link as joints: three that slide and three that turn."""
     kinds = 3 * ("prismatic",) + 3 * ("revolute",)
     axes = [*np.eye(3), *np.eye(3)]
-    for name, kind, axis in zip(BASE_COORDINATES, kinds, axes, strict=True):
+    for name, kind, axis in zip(names, kinds, axes, strict=True):
         yield UrdfJoint(
             name=name,
             kind=kind,
             parent="",
-            child=robot.root,
+            child=link,
             R=np.eye(3),
             p=np.zeros(3),
             axis=axis,
@@ -148,19 +165,19 @@ def _base_coordinates(robot: Robot) -> Iterator[UrdfJoint]:
         )
 
 
-def _floating_base(root: str, coordinates: int) -> Body:
-    """The body of a floating base before links are lumped into it."""
-    at_origin = Frame(-1, np.eye(3), np.zeros(3))
+def _free_body(link: str, mount: Frame, first: int, coordinates: int, is_base: bool = False) -> Body:
+    """A body with six coordinates of its own, before links are lumped into it."""
     return Body(
-        name=root,
+        name=link,
         kind="link",
         pi=np.zeros(PI_SIZE),
         ellipsoids=(),
-        mount=at_origin,
+        mount=mount,
         axis=np.array([0.0, 0.0, 1.0]),
         prismatic=False,
         ratios=np.zeros(coordinates),
-        is_base=True,
+        is_base=is_base,
+        first_free_coordinate=first,
     )
 
 
@@ -203,9 +220,17 @@ class _Builder:
         self.joints = self._moving_joints()
         self.index = {joint.name: i for i, joint in enumerate(self.joints)}
         self._check_names()
+        self._check_sensors()
+        self.sensors: dict[str, int] = {}  # fixed joint with a wrench sensor → its first coordinate
+        for sensor in self.config.wrench_sensors:
+            self.sensors[sensor.joint] = len(self.joints)
+            names = [f"{sensor.joint}_{part}" for part in _WRENCH]
+            self.joints = (*self.joints, *_free_coordinates(names, self.robot.joints[sensor.joint].child))
         if is_floating:
-            self.joints = (*self.joints, *_base_coordinates(self.robot))
-            self.bodies.append(_floating_base(self.robot.root, len(self.joints)))
+            first = len(self.joints)
+            self.joints = (*self.joints, *_free_coordinates(BASE_COORDINATES, self.robot.root))
+            at_origin = Frame(-1, np.eye(3), np.zeros(3))
+            self.bodies.append(_free_body(self.robot.root, at_origin, first, len(self.joints), is_base=True))
         self._place(self.robot.root, Frame(len(self.bodies) - 1, np.eye(3), np.zeros(3)))
         for joint in self.robot.joints.values():
             self._attach(joint)
@@ -222,7 +247,32 @@ class _Builder:
                 self.notices.append(Notice("massless_link", "warning", body.name, message, advice))
         self._check_base()
         gravity = np.zeros(3) if is_floating else np.asarray(self.config.gravity)
-        return RobotModel(self.robot, self.joints, bodies, gravity, tuple(self.notices), self.frames)
+        return RobotModel(
+            robot=self.robot,
+            joints=self.joints,
+            bodies=bodies,
+            gravity=gravity,
+            notices=tuple(self.notices),
+            frames=self.frames,
+            wrench_sensors={sensor.joint: self._sensor_to_body(sensor) for sensor in self.config.wrench_sensors},
+        )
+
+    def _sensor_to_body(self, sensor: WrenchSensor) -> Array:
+        """See `RobotModel.wrench_sensors`."""
+        frame = self.frames[sensor.frame or self.robot.joints[sensor.joint].child]
+        to_body = np.zeros((WRENCH_SIZE, WRENCH_SIZE))
+        to_body[:3, :3] = frame.R
+        to_body[3:, 3:] = frame.R
+        to_body[3:, :3] = skew(frame.p) @ frame.R
+        return sensor.sign * to_body
+
+    def _check_sensors(self) -> None:
+        """Refuse a wrench sensor at a joint that does not exist or that moves."""
+        fixed = [joint.name for joint in self.robot.joints.values() if joint.kind == "fixed"]
+        for i, sensor in enumerate(self.config.wrench_sensors):
+            if sensor.joint not in fixed:
+                what = f"is not a fixed joint of the URDF; {suggestion(sensor.joint, fixed)}"
+                raise ConfigError(f"wrench_sensors.{i}.joint: {sensor.joint}", what)
 
     def _check_base(self) -> None:
         """Refuse a base, an IMU or a contact on a link that does not exist, or that moves against the base."""
@@ -237,6 +287,15 @@ class _Builder:
                 raise ConfigError(
                     f"{key}: {link}", f"moves against the root link {self.robot.root}; name a link that is fixed to it"
                 )
+        for i, sensor in enumerate(self.config.wrench_sensors):
+            if sensor.frame is None:
+                continue
+            key = f"wrench_sensors.{i}.frame: {sensor.frame}"
+            if sensor.frame not in self.frames:
+                raise ConfigError(key, f"is not a link of the URDF; {suggestion(sensor.frame, self.frames)}")
+            child = self.robot.joints[sensor.joint].child
+            if self.frames[sensor.frame].body != self.frames[child].body:
+                raise ConfigError(key, f"moves against link {child}; name a link that is fixed to it")
         for i, contact in enumerate(self.config.contacts):
             key = f"contacts.{i}.link: {contact.link}"
             if base.kind == "fixed":
@@ -344,6 +403,9 @@ class _Builder:
                 mount = mount.compose(np.eye(3), joint.axis * offset)
             else:
                 mount = mount.compose(Rotation.from_rotvec(joint.axis * offset).as_matrix(), np.zeros(3))
+        elif joint.name in self.sensors:
+            self.bodies.append(_free_body(joint.child, mount, self.sensors[joint.name], len(self.joints)))
+            mount = Frame(len(self.bodies) - 1, np.eye(3), np.zeros(3))
         self._place(joint.child, mount)
 
     def _place(self, link: str, frame: Frame) -> None:

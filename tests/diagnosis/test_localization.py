@@ -87,14 +87,13 @@ def test_a_prismatic_joint_has_metres_and_several_joints_have_names() -> None:
     rng = np.random.default_rng(1)
     q, v, a, tau = rng.normal(size=(4, 2, n))
     kept = np.ones((2, n), dtype=bool)
-    found = ResidualSeries(np.arange(n) * 0.006, np.full(n, 0.006), q, v, a, tau, np.zeros((1, 2, n)), kept, (0,))
+    still, none = np.full(2, 1e-3), np.zeros((1, 2, n))
+    found = ResidualSeries(np.arange(n) * 0.006, np.full(n, 0.006), q, v, a, tau, none, kept, still, (0,))
 
     def said(within: NDArray[np.bool_]) -> str:
         energy = rng.normal(size=n) ** 2 * within
-        still, none = np.full(2, 1e-3), np.zeros(n)
-        return describe_region(
-            JointResidual(found, 0, ("slide", "turn"), (True, False), still, 40.0, energy, none, True, True), ()
-        )
+        residual = JointResidual(found, 0, ("slide", "turn"), (True, False), 40.0, energy, np.zeros(n), True, True)
+        return describe_region(residual, ())
 
     assert re.fullmatch(r"at speeds of slide below 0\.(50|49) m/s", said(np.abs(v[0]) < 0.5))
     assert re.fullmatch(r"at positions of slide above 0\.5\d? m", said(q[0] > 0.5))
@@ -128,7 +127,7 @@ def test_windows_are_few_and_short_or_none() -> None:
     """What comes again after 0.4 s is one window, unless it is there most of the time."""
     t = np.arange(6000) * 0.01
     none = np.zeros((2, len(t)))
-    found = ResidualSeries(t, np.full(len(t), 0.01), none, none, none, none, none[None], none == 0, (0,))
+    found = ResidualSeries(t, np.full(len(t), 0.01), none, none, none, none, none[None], none == 0, np.zeros(2), (0,))
     pulses = 1.0 * (t % 0.4 < 0.1)
     energy = pulses * ((np.abs(t - 15) < 5) | (np.abs(t - 40) < 1))
     np.testing.assert_allclose(energy_windows(found, energy, t >= 0), [[10, 20], [39, 41]], atol=0.4)

@@ -21,7 +21,7 @@ from spatial_arm import RIGID, Log, recorded, residuals, rolled_out, spec_of, wr
 
 from idtool.data.signals import Motion
 from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
-from idtool.dynamics.effects.time_delay import _delayed
+from idtool.dynamics.effects.delayed_series import delayed
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import EffectEntry
@@ -183,7 +183,7 @@ def test_a_delay_is_the_shift_of_a_spline(samples: float) -> None:
     for count in (20, 500):
         x = np.cumsum(np.random.default_rng(0).normal(size=(3, count)), axis=1)
         expected = [ndimage.shift(row, samples, order=5, mode="nearest") for row in x]
-        np.testing.assert_allclose(_delayed(x, samples), expected, atol=1e-4)
+        np.testing.assert_allclose(delayed(x, samples), expected, atol=1e-4)
 
 
 @pytest.mark.parametrize(("rate", "hertz"), [(1000, 40), (200, 38)])

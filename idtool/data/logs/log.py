@@ -89,6 +89,8 @@ class JointLog:
         The files that were read.
     channels
         Channels of sensors that are of no joint, by name; see `sensor_channels`.
+    unknown_torque
+        Joints whose torque was not logged, and is 0 in ``signals``.
     """
 
     path: Path
@@ -100,6 +102,7 @@ class JointLog:
     notices: tuple[Notice, ...] = ()
     sources: tuple[InputFile, ...] = ()
     channels: Mapping[str, Channel] = field(default_factory=dict)
+    unknown_torque: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.t)

@@ -64,11 +64,13 @@ def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Notice
     for k, log in enumerate(logs):
         progress("inspecting the logs", k / len(logs))
         inspections.append(inspect_log(log))
-        own = inspection_faults(inspections[-1], experiment.model.names)
+        own = inspection_faults(inspections[-1], experiment.model.joint_names)
         wrong_time = [fault for fault in own if (fault.code, fault.subject) == ("wrong_unit", None)]
         if wrong_time:  # with it, all derivatives are wrong
             return tuple(wrong_time)
         faults += [(k, fault) for fault in own]
+    if not experiment.model.has_only_joints:  # the torque of its joints says nothing without the contact forces
+        return _merged(faults, [log.path.name for log in logs])
     faults += [(None, fault) for fault in _model_faults(experiment, ChannelFit(experiment), inspections, progress)]
     return _merged(faults, [log.path.name for log in logs])
 

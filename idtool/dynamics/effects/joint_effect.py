@@ -116,8 +116,8 @@ class JointEffect(NamedEffect):
     @override
     def probes(cls, summary: DataSummary) -> Iterator[Probe]:
         may_repeat = any(parameter.distinguishes_instances for parameter in cls.nonlinear_parameters)
-        for index, joint in enumerate(summary.model.joints):
-            if summary.has_effect(cls.id, joint.name) and not may_repeat:
+        for index, joint in enumerate(summary.model.joint_names):
+            if summary.has_effect(cls.id, joint) and not may_repeat:
                 continue
             for nonlinear_values in cls.trial_values(summary, index):
                 probe = cls.probe(summary, index, nonlinear_values)

@@ -16,8 +16,20 @@ class Linearization(Protocol):
         """The motion that the sensors gave."""
 
     @property
+    def true_motion(self) -> Motion:
+        """The motion as the effects correct it."""
+
+    @property
     def residual(self) -> Array:
         """Measured torque less the model's, unfiltered, shape (nv, N) [N·m or N]."""
+
+    @property
+    def contact_forces(self) -> Array:
+        """Components of the unknown contact forces, shape (k, N) [N or N·m]."""
+
+    @property
+    def contact_torque(self) -> Array:
+        """Generalized force of the unknown contact forces, shape (nv, N) [N·m or N]."""
 
     @property
     def predicted_torque(self) -> Array:

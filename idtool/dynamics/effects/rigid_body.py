@@ -68,7 +68,7 @@ class RigidBodies(Effect):
                 rows = out[joint][first : first + PI_SIZE]
                 parent = body.mount.body
                 moves_parent = parent >= 0 and self._support[parent, joint]
-                if moves_parent or body.is_base:
+                if moves_parent or body.first_free_coordinate is not None:
                     _write_columns(body_motion, jacobian, D, k, rows)
                 else:
                     _write_own_axis_columns(body, body_motion, D, body.ratios[joint], rows)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Self
 
 import numpy as np
-from scipy import ndimage
-from scipy.interpolate import BSpline
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.delayed_series import beyond_samples, delayed
 from idtool.dynamics.effects.entry_parameters import (
     check_parameter_names,
     entry_location,
@@ -33,8 +31,6 @@ from idtool.robot.model import RobotModel
 _MIN_DELAY_SAMPLES = 0.9  # a command acts until the next sample, so that half a sample of delay is in every log
 _MAX_PROBED_DELAY = 0.1  # s
 _MAX_DELAY = 1.0  # s: what is later belongs to another motion
-_SPLINE_BASIS = BSpline.basis_element(np.arange(-3.0, 4.0))  # of order 5, about 0
-_SPLINE_MARGIN = 16  # samples, more than a spline of order 5 is influenced by
 
 
 class TimeDelay(FixedEffect):
@@ -98,7 +94,7 @@ class TimeDelay(FixedEffect):
     @override
     def probes(cls, summary: DataSummary) -> Iterator[Probe]:
         """A probe of all joints together, and one of each joint."""
-        names = summary.model.names
+        names = summary.model.joint_names
         if not summary.has_effect(cls.id, "all joints"):
             yield _probe(None, range(len(names)), summary.dt)
         if len(names) == 1:
@@ -144,12 +140,7 @@ class TimeDelay(FixedEffect):
     @override
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
         """Samples whose torque lies beyond the batch."""
-        mask = np.zeros(len(motion.t), dtype=bool)
-        beyond = int(np.ceil(abs(self.delay) / motion.dt))
-        if self.delay < 0:
-            mask[:beyond] = True
-        elif self.delay > 0:
-            mask[max(len(mask) - beyond, 0) :] = True
+        mask = beyond_samples(motion, self.delay)
         return {int(joint): mask for joint in self.joints}
 
     @override
@@ -161,28 +152,8 @@ class TimeDelay(FixedEffect):
         if not samples:
             return tau
         tau = tau.copy()
-        tau[..., self.joints, :] = _delayed(tau[..., self.joints, :], samples)
+        tau[..., self.joints, :] = delayed(tau[..., self.joints, :], samples)
         return tau
-
-
-def _delayed(x: Array, samples: float) -> Array:
-    """Series delayed by a number of samples, shape (..., N), on a spline of order 5, each continued by its ends.
-
-    Linear interpolation would damp frequencies near the end of the band. This is `scipy.ndimage.shift`, which weights
-    each sample anew; here the weights of all samples are the same.
-    """
-    whole_samples = math.floor(samples)
-    fraction = samples - whole_samples
-    pad = abs(whole_samples) + _SPLINE_MARGIN
-    padded = np.pad(x, [(0, 0)] * (x.ndim - 1) + [(pad, pad)], mode="edge")
-    coefficients = ndimage.spline_filter1d(padded, order=5, mode="mirror")
-    neighbours = np.arange(-3, 3)  # samples within the reach of a basis function
-    weights = _SPLINE_BASIS(-fraction - neighbours)
-    delayed = np.zeros(x.shape)
-    for neighbour, weight in zip(neighbours, weights, strict=True):
-        first = pad - whole_samples + neighbour
-        delayed += weight * coefficients[..., first : first + x.shape[-1]]
-    return delayed
 
 
 def _probe(joint: str | None, indices: Sequence[int], dt: float) -> Probe:

@@ -49,8 +49,11 @@ class TorqueSaturation(TorqueSensorEffect):
     @override
     def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
         """Levels that the torque exceeds."""
+        peak = float(summary.peak_torque[joint])
+        if not peak:  # none was logged
+            return
         for share in _LEVELS:
-            yield {"level": share * float(summary.peak_torque[joint])}
+            yield {"level": share * peak}
 
     @classmethod
     @override

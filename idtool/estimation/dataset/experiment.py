@@ -8,21 +8,23 @@ from pathlib import Path
 
 import numpy as np
 
-from idtool.common.arrays import Array, Mask
+from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.data.base_sensors import BaseSensors, imu_step, needed_channels, sensor_options
-from idtool.data.controller import without_constant_torque
+from idtool.data.controller import with_unknown_torque, without_constant_torque
 from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.sensor_channels import with_sensors
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
 from idtool.data.signals import Batch, Signals, default_cutoff
+from idtool.data.wrench_channels import WrenchChannels
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.row_filter import Counts
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
 from idtool.estimation.dataset.contact_detection import is_foot, with_detected_contacts
@@ -35,7 +37,7 @@ from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
-Rows = Iterable[tuple[list[Array], list[Mask] | list[Array]]]
+Rows = Iterable[tuple[list[Array], Counts]]
 
 _LARGEST = 1e12  # of a signal in SI: powers of what is larger are not finite
 _STANDING = {"prismatic": 0.005}  # m, that a joint may move and still count as standing
@@ -232,7 +234,9 @@ class Experiment:
         LogError
             If a joint has no sample that counts.
         """
-        still = [name for name, factor in zip(self.equation.joints, data, strict=True) if not factor.rows]
+        unknown = {name for run in self.runs for name in run.signals.log.unknown_torque}
+        rows = zip(self.equation.joints, data, strict=True)
+        still = [name for name, factor in rows if not factor.rows and name not in unknown]
         if self.equation.contacts is not None and len(still) < len(data):
             return data  # contact forces may leave nothing of a row
         if len(still) == len(data) and not self.samples(held_out=False):
@@ -347,7 +351,8 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
         If it lacks a signal of a joint or of a sensor of the base.
     """
     sensors = BaseSensors.of_log(log, model, config)
-    signals = Signals(log, model.joint_names, config, sensors)
+    wrench_channels = WrenchChannels.of_log(log, model, config)
+    signals = Signals(log, model.joint_names, config, sensors, wrench_channels)
     if sensors is not None:
         signals.notices += imu_findings(log)
     return signals
@@ -388,8 +393,10 @@ def _read(log: Path | JointLog, config: Config) -> JointLog:
         options = config.log
         sensors = sensor_options(config)
         log = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale), sensors=sensors)
-    if config.base.kind == "floating":
+    if sensor_options(config) is not None:
         log = with_sensors(log, needed_channels(config))
+    if config.wrench_sensors:
+        log = with_unknown_torque(log, config.controller)
     return without_constant_torque(log, config.controller)
 
 
@@ -445,8 +452,9 @@ def coefficients_of(robot: Robot, config: Config, experiment: Experiment) -> Arr
         If it is not a URDF of the same robot.
     """
     joints = experiment.model.joint_names
-    base = experiment.config.base
-    config = config.model_copy(update={"joints": joints, "base": base, "contacts": experiment.config.contacts})
+    own = experiment.config
+    sensors = {"base": own.base, "contacts": own.contacts, "wrench_sensors": own.wrench_sensors}
+    config = config.model_copy(update={"joints": joints, **sensors})
     model = build_model(robot, config, joints)
     coefficients = LinearModel(model.names, build_effects(model, config)).coefficients
     values = {c.key: c.prior for c in coefficients}

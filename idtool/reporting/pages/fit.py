@@ -31,11 +31,13 @@ from idtool.reporting.sections.fit import (
     PriorWeightsSection,
     TorqueErrorsSection,
     WholeRobotSection,
+    WrenchSensorsSection,
 )
 
 _PRIOR = PriorWeightsSection()
 _EFFECTS = EffectsSection()
 _WHOLE_ROBOT = WholeRobotSection()
+_WRENCH_SENSORS = WrenchSensorsSection()
 _RESIDUALS = ("Residual by state, time and frequency", "residuals.html")
 _MODEL_NAMES = ("prior", "identified")
 _MODELS_TEXT = "the original URDF and of the identified model"
@@ -48,6 +50,7 @@ _SECTIONS = (
     FrictionSection(),
     _EFFECTS,
     _WHOLE_ROBOT,
+    _WRENCH_SENSORS,
     BodiesSection(),
     _PRIOR,
     SOURCES,
@@ -93,6 +96,7 @@ def fit_page(
     automatic = report.regularization.automatic
     shown_if = {_RESIDUALS: bool(residual_maps), _EFFECTS: bool(report.effects), _PRIOR: automatic is not None}
     shown_if[_WHOLE_ROBOT] = report.whole_robot is not None
+    shown_if[_WRENCH_SENSORS] = bool(report.wrench_sensors)
     sections: Sections = [section for section in _SECTIONS if shown_if.get(section, True)]
     sections = with_simulation(sections, report.simulation)
     sections = with_uncertainty(sections, report)

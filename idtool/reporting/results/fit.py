@@ -342,6 +342,13 @@ class WholeRobotReport(Record):
     prior_com: Vector = field("That of the prior [m].")
 
 
+class WrenchSensorReport(Record):
+    """What a sensor of force and moment reads without load."""
+
+    offset: list[float] = field("Force [N] and moment [N·m], along the axes of the sensor.")
+    standard_error: list[float | None] = field("Standard errors; null if the data do not determine one.")
+
+
 class SolverReport(Record):
     """Solution of the optimization problem."""
 
@@ -374,6 +381,9 @@ class FitReport(ReproducibleResult):
     noise: ByJoint = field("Torque noise used to weight the joint's equation [N·m or N].")
     bodies: Annotated[ReadOnly[BodyReport], Keys("body")] = field("Identified links and rotors.")
     whole_robot: WholeRobotReport | None = field("Mass and centre of mass of the whole robot; null with a fixed base.")
+    wrench_sensors: Annotated[ReadOnly[WrenchSensorReport], Keys("joint")] = field(
+        "Wrench sensors whose offset was identified, by the fixed joint that they are at."
+    )
     friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Identified friction.")
     friction_intervals: Annotated[ReadOnly[FrictionIntervals], Keys("joint")] = field("95 % intervals of friction.")
     effects: tuple[EffectReport, ...] = field("Effects besides rigid bodies and friction.")

@@ -125,6 +125,35 @@ class WholeRobotSection(Section[FitReport]):
         return "All bodies together, in the frame of the root link, all joints at position 0."
 
 
+class WrenchSensorsSection(Section[FitReport]):
+    """What the wrench sensors read without load."""
+
+    title = "Offsets of the wrench sensors"
+
+    @override
+    def table(self, report: FitReport) -> Table | None:
+        if not report.wrench_sensors:
+            return None
+        columns = [
+            name_column("sensor"),
+            Column("component", kind="words"),
+            Column("unit", kind="name"),
+            Column("identified"),
+            error_column(),
+        ]
+        rows = []
+        for joint, sensor in report.wrench_sensors.items():
+            components = [(f"force, {axis}", "N") for axis in "xyz"] + [(f"moment, {axis}", "N·m") for axis in "xyz"]
+            values = zip(components, sensor.offset, sensor.standard_error, strict=True)
+            for (component, unit), offset, error in values:
+                rows.append([Cell(joint), Cell(component), Cell(unit), *error_cells(offset, error)])
+        return Table(self.title, columns, rows)
+
+    @override
+    def text(self, report: FitReport) -> str:
+        return "Force and moment that a sensor reads without load, along its own axes."
+
+
 class BodiesSection(Section[FitReport | DiagnosisReport]):
     """Masses, centres of mass, and the number of a body's ten parameters by source."""
 

@@ -12,6 +12,7 @@ from idtool.reporting.sections.fit import (
     FrictionSection,
     TorqueErrorsSection,
     WholeRobotSection,
+    WrenchSensorsSection,
 )
 from idtool.reporting.sections.uncertainty import RepeatabilitySection
 from idtool.reporting.terminal.base import Terminal
@@ -22,7 +23,8 @@ def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
     """The result of a fit: errors, bodies, friction, certificate, and where the files are."""
     terminal.sections([TorqueErrorsSection()], report)
     show_simulation(terminal, report.simulation)
-    terminal.sections([BodiesSection(), WholeRobotSection(), FrictionSection(), EffectsSection()], report)
+    terminal.sections([BodiesSection(), WholeRobotSection(), FrictionSection()], report)
+    terminal.sections([WrenchSensorsSection(), EffectsSection()], report)
     if report.controller and report.controller.text:
         terminal.say(f"controller delay: {report.controller.text}")
     if base := report.base_parameters:

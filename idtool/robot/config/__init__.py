@@ -11,6 +11,7 @@ from idtool.robot.config.floating_base import Contact
 from idtool.robot.config.rotors import RotorConfig
 from idtool.robot.config.signals import Controller
 from idtool.robot.config.terms import EffectEntry, Friction, UncertainValue
+from idtool.robot.config.wrench_sensors import WrenchSensor
 
 __all__ = [
     "WEAK_PRIOR",
@@ -31,6 +32,7 @@ __all__ = [
     "RotorConfig",
     "Solver",
     "UncertainValue",
+    "WrenchSensor",
     "parse_config",
     "read_config",
     "validate_record",

@@ -19,6 +19,7 @@ from idtool.robot.config.limits import JointLimits
 from idtool.robot.config.rotors import RotorConfig
 from idtool.robot.config.signals import Controller, Filter, LogOptions, SimulationOptions
 from idtool.robot.config.terms import EffectEntry, Friction, friction_tag
+from idtool.robot.config.wrench_sensors import WrenchSensor
 
 
 def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -34,6 +35,14 @@ def _unique_contacts(contacts: tuple[Contact, ...]) -> tuple[Contact, ...]:
         if names.count(name) > 1:
             raise ValueError(f"{name} is listed twice; give each contact a name of its own")
     return contacts
+
+
+def _unique_sensors(sensors: tuple[WrenchSensor, ...]) -> tuple[WrenchSensor, ...]:
+    joints = [sensor.joint for sensor in sensors]
+    for joint in joints:
+        if joints.count(joint) > 1:
+            raise ValueError(f"joint {joint} has two sensors; keep one")
+    return sensors
 
 
 class Config(ConfigRecord):
@@ -64,6 +73,7 @@ class Config(ConfigRecord):
     limits: dict[str, JointLimits] = Field(default_factory=dict)
     base: Base = Base()
     contacts: Annotated[tuple[Contact, ...], AfterValidator(_unique_contacts)] = ()
+    wrench_sensors: Annotated[tuple[WrenchSensor, ...], AfterValidator(_unique_sensors)] = ()
     seed: int = 0
 
     _source: InputFile | None = PrivateAttr(default=None)
@@ -74,12 +84,15 @@ class Config(ConfigRecord):
         return self._source
 
     def require_fixed_base(self, command: str) -> None:
-        """Raise ConfigError if the base floats, which the command cannot handle."""
+        """Raise ConfigError if the base floats or a wrench is measured, which the command cannot handle."""
         if self.base.kind != "fixed":
             what = (
                 f"idtool {command} needs a fixed base; a floating one is for fit, validate, inspect, export --to mujoco"
             )
             raise ConfigError("base.kind: floating", what)
+        if self.wrench_sensors:
+            what = "are for fit, validate, inspect and diagnose; remove them"
+            raise ConfigError("wrench_sensors", f"{what} for idtool {command}")
 
     def without_friction_values(self) -> Config:
         """A copy with the friction terms, but without their values and without effects."""

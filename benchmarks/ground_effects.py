@@ -1,0 +1,161 @@
+"""Quadruped on the ground with a hidden effect: what ``idtool diagnose`` names.
+
+Run ``python benchmarks/ground --out FOLDER`` first, then ``python benchmarks/ground_effects.py FOLDER``.
+
+A model is fitted to the logs without an effect. Then the robot stands, trots and hangs once more with each effect in
+turn, and the model is diagnosed: a payload with fixed inertia, as the logs cannot tell it from the trunk, and all
+others with inertia that is fitted again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from ground.__main__ import KINDS
+from ground.logs import Sensors, record, write_csv
+from ground.plant import Payload, Physics
+from ground.robot import Body, true_quadruped
+
+import idtool
+
+_JOINT = "FL_calf_joint"
+_PAYLOAD_MASS = 2.5  # kg
+_PAYLOAD_COM = np.array([-0.08, 0.02, 0.09])  # m
+_DELAY = 0.006  # s
+_MAX_FALLS = 5
+
+
+@dataclass(frozen=True)
+class Case:
+    """A hidden effect.
+
+    Attributes
+    ----------
+    effect, target
+        As a diagnosis names it; empty: nothing is hidden.
+    physics, sensors
+        Of the simulator.
+    change
+        Change of the configuration that the model starts from.
+    inertia
+        ``refit`` or ``fixed``.
+    """
+
+    effect: str = ""
+    target: str | None = None
+    physics: Physics = field(default_factory=Physics)
+    sensors: Sensors = field(default_factory=Sensors)
+    change: Callable[[dict[str, Any]], None] = lambda config: None
+    inertia: str = "refit"
+
+
+def _without_coulomb(config: dict[str, Any]) -> None:
+    config["friction"][_JOINT] = {"viscous": config["friction"][_JOINT]["viscous"], "coulomb": False}
+
+
+def _without_rotor(config: dict[str, Any]) -> None:
+    del config["rotors"][f"{_JOINT}_rotor"]
+
+
+def cases() -> dict[str, Case]:
+    """All hidden effects, by name."""
+    payload = Body.ellipsoid(_PAYLOAD_MASS, _PAYLOAD_COM, np.array([0.1, 0.07, 0.05]))
+    return {
+        "clean": Case(),
+        "payload": Case("payload", "trunk", physics=Physics(payloads=[Payload("trunk", payload)]), inertia="fixed"),
+        "coulomb": Case("coulomb_friction", _JOINT, change=_without_coulomb),
+        "torque_delay": Case("time_delay", None, sensors=Sensors(torque_delay=_DELAY)),
+        "imu_delay": Case("imu_delay", None, sensors=Sensors(imu_delay=_DELAY)),
+        "rotor": Case("rotor_inertia", _JOINT, change=_without_rotor),
+    }
+
+
+def write_logs(folder: Path, case: Case, seconds: float, seed: int) -> list[Path]:
+    """Write the logs of a case: stand, walk and hang; another motion is tried if the robot falls."""
+    truth = true_quadruped(seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for kind in KINDS:
+        path = folder / f"{kind}.csv"
+        paths.append(path)
+        if path.exists():
+            continue
+        for motion_seed in range(100 * seed + 50, 100 * seed + 50 + _MAX_FALLS):
+            try:
+                recording = record(truth, kind, seconds, motion_seed, copy.deepcopy(case.physics), case.sensors)
+            except RuntimeError:
+                continue
+            write_csv(path, recording)
+            break
+    return paths
+
+
+def diagnose_case(folder: Path, config: Mapping[str, Any], seconds: float, seed: int, name: str) -> str:
+    """Line of a table: what a diagnosis names of a case."""
+    case = cases()[name]
+    logs = write_logs(folder / name, case, seconds, seed)
+    own = copy.deepcopy(dict(config))
+    case.change(own)
+    own["base"]["imu"]["delay"] = 0  # with auto, the logs would be corrected before the diagnosis
+    model = idtool.Model(folder / "fit" / "identified.urdf", config=own)
+    started = time.perf_counter()
+    result = idtool.diagnose(model, logs, inertia=case.inertia)
+    seconds_taken = time.perf_counter() - started
+    named = []
+    for step in result.steps:
+        values = {key: _rounded(value) for key, value in step.parameters.items() if key != "inertia"}
+        named.append(f"{step.effect} {step.joint or step.link or ''} {values}")
+    found = [(step.effect, step.joint or step.link) for step in result.steps]
+    expected = [(case.effect, case.target)] if case.effect else []
+    mark = "ok" if found == expected else "NO"
+    return f"{mark} {name} ({result.verdict}, {seconds_taken:.0f} s): {'; '.join(named) or 'nothing'}"
+
+
+def _rounded(value: object) -> object:
+    if isinstance(value, float):
+        return float(f"{value:.4g}")
+    if isinstance(value, list):
+        return [_rounded(x) for x in value]
+    return value
+
+
+def main() -> None:
+    """Diagnose all cases."""
+    parser = argparse.ArgumentParser(description="What idtool names of a quadruped on the ground.")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=16.0, help="length of each log")
+    parser.add_argument("--cases", default=",".join(cases()))
+    parser.add_argument("--jobs", type=int, default=1)
+    options = parser.parse_args()
+
+    folder = options.folder
+    fitted = folder / "fit"
+    if not (fitted / "model.yaml").exists():
+        config = yaml.safe_load((folder / "quadruped.yaml").read_text())
+        logs = [next(folder.glob(f"{kind}.*")) for kind in KINDS]
+        idtool.fit(idtool.Model(folder / "quadruped.urdf", config=config), logs, quick=True).save(fitted)
+    config = yaml.safe_load((fitted / "model.yaml").read_text())
+    run = partial(diagnose_case, folder, config, options.seconds, options.seed)
+    names = options.cases.split(",")
+    if options.jobs == 1:
+        for name in names:
+            print(run(name), flush=True)
+        return
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for line in pool.map(run, names):
+            print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""Series of a motion that are recorded late or early."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy import ndimage
+from scipy.interpolate import BSpline
+
+from idtool.common.arrays import Array, Mask
+from idtool.data.signals import Motion
+
+_SPLINE_BASIS = BSpline.basis_element(np.arange(-3.0, 4.0))  # of order 5, about 0
+_SPLINE_MARGIN = 16  # samples, more than a spline of order 5 is influenced by
+
+
+def delayed(x: Array, samples: float) -> Array:
+    """Series delayed by a number of samples, shape (..., N), on a spline of order 5, each continued by its ends.
+
+    Linear interpolation would damp frequencies near the end of the band. This is `scipy.ndimage.shift`, which weights
+    each sample anew; here the weights of all samples are the same.
+    """
+    whole_samples = math.floor(samples)
+    fraction = samples - whole_samples
+    pad = abs(whole_samples) + _SPLINE_MARGIN
+    padded = np.pad(x, [(0, 0)] * (x.ndim - 1) + [(pad, pad)], mode="edge")
+    coefficients = ndimage.spline_filter1d(padded, order=5, mode="mirror")
+    neighbours = np.arange(-3, 3)  # samples within the reach of a basis function
+    weights = _SPLINE_BASIS(-fraction - neighbours)
+    delayed = np.zeros(x.shape)
+    for neighbour, weight in zip(neighbours, weights, strict=True):
+        first = pad - whole_samples + neighbour
+        delayed += weight * coefficients[..., first : first + x.shape[-1]]
+    return delayed
+
+
+def beyond_samples(motion: Motion, delay: float) -> Mask:
+    """Mask of the samples of a motion at which a series, a delay [s] later, lies beyond its ends, shape (N,)."""
+    mask = np.zeros(len(motion.t), dtype=bool)
+    beyond = int(np.ceil(abs(delay) / motion.dt))
+    if delay < 0:
+        mask[:beyond] = True
+    elif delay > 0:
+        mask[max(len(mask) - beyond, 0) :] = True
+    return mask

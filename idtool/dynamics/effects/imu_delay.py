@@ -1,0 +1,134 @@
+"""IMU of a floating base that is recorded late or early relative to the joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+from typing_extensions import override
+
+from idtool.common.arrays import Array, Mask
+from idtool.common.exceptions import ConfigError
+from idtool.data.signals import Motion
+from idtool.dynamics.effects.data_summary import DataSummary
+from idtool.dynamics.effects.delayed_series import beyond_samples, delayed
+from idtool.dynamics.effects.entry_parameters import check_parameter_names, entry_location, read_number
+from idtool.dynamics.effects.fixed_effect import FixedEffect
+from idtool.dynamics.effects.linearization import Linearization
+from idtool.dynamics.effects.probe import Probe
+from idtool.dynamics.mechanism import Mechanism
+from idtool.robot.config import EffectEntry
+from idtool.robot.model import RobotModel
+
+_MIN_DELAY = 2e-3  # s: less is as much as soft feet make of a delay that was found by the kinematics
+_MAX_PROBED_DELAY = 0.05  # s
+_MAX_DELAY = 1.0  # s: what is later belongs to another motion
+
+
+class ImuDelay(FixedEffect):
+    """The measured motion of a floating base is the true one a delay earlier, or later if the delay is negative.
+
+    Parameters
+    ----------
+    model
+        The robot, with a floating base.
+    delay
+        The delay [s].
+    """
+
+    id = "imu_delay"
+    label = "IMU delay"
+    is_countable = True
+    whole_robot_owner = "the base"
+    is_screened_to_first_order = True
+    description = "the IMU is recorded with a delay relative to the joints (earlier if the delay is negative)"
+    excitation_hint = "quick turns of the base"
+    cause = "time"
+
+    def __init__(self, model: RobotModel, delay: float) -> None:
+        super().__init__(model)
+        self.delay = delay
+        self._base = model.base_coordinates
+
+    @classmethod
+    @override
+    def from_entry(cls, entry: EffectEntry, model: RobotModel) -> Self:
+        if entry.joint is not None or entry.link is not None:
+            raise ConfigError(entry_location(entry), "acts on the base; give neither joint nor link")
+        if not model.has_floating_base:
+            raise ConfigError(entry_location(entry), "needs a floating base; set base.kind, or remove it")
+        check_parameter_names(entry, ("delay",))
+        delay = read_number(entry, "delay")
+        if not abs(delay) <= _MAX_DELAY:
+            message = f"a delay of {delay:g} s is too long; give at most {_MAX_DELAY:g} s"
+            raise ConfigError(entry_location(entry), message)
+        return cls(model, delay)
+
+    @classmethod
+    @override
+    def probes(cls, summary: DataSummary) -> Iterator[Probe]:
+        """One probe on a floating base."""
+        if not summary.model.has_floating_base or summary.has_effect(cls.id, "base"):
+            return
+        coordinates = summary.model.base_coordinates
+        base = range(coordinates.start, coordinates.stop)
+
+        def columns(motion: Motion, linearized: Linearization) -> Mapping[int, Array]:
+            zero = np.zeros_like(motion.t)
+            change = np.zeros_like(motion.q)
+            for row in base:
+                v_rate = np.gradient(motion.v[row], motion.dt)
+                a_rate = np.gradient(motion.a[row], motion.dt)
+                change += linearized.torque_change_by_motion(row, zero, v_rate, a_rate)
+            return {row: own[None] for row, own in enumerate(change)}
+
+        def to_entry(c: Array, information: Array) -> EffectEntry | None:
+            delay = float(c[0])
+            if not _MIN_DELAY < abs(delay) < _MAX_PROBED_DELAY:
+                return None
+            return EffectEntry(effect=cls.id, parameters={"delay": delay})
+
+        yield Probe(effect=cls.id, joint=None, link=None, columns=columns, coefficient_count=1, to_entry=to_entry)
+
+    @classmethod
+    @override
+    def gradient_parameters(cls) -> tuple[str, ...]:
+        return ("delay",)
+
+    @override
+    def parameter_units(self) -> dict[str, str]:
+        return {"delay": "s"}
+
+    @property
+    @override
+    def key(self) -> tuple[str | float, ...]:
+        return self.id, "base"
+
+    @override
+    def correct_motion(self, motion: Motion) -> Motion:
+        """Motion with that of the base shifted back; beyond the samples it is taken as at their ends."""
+        if not self.delay or not motion.is_log:
+            return motion
+        samples = -self.delay / motion.dt
+        v = motion.v.copy()
+        a = motion.a.copy()
+        v[self._base] = delayed(motion.v[self._base], samples)
+        a[self._base] = delayed(motion.a[self._base], samples)
+        contacts = motion.contacts
+        if contacts is not None:
+            contacts = replace(contacts, world_to_base=delayed(contacts.world_to_base, samples))
+        return replace(motion, v=v, a=a, contacts=contacts)
+
+    @override
+    def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
+        """Samples at which the motion of the base lies beyond the batch; it is in the rows of all joints."""
+        if not motion.is_log:
+            return {}
+        mask = beyond_samples(motion, self.delay)
+        return dict.fromkeys(range(len(motion.q)), mask)
+
+    @override
+    def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
+        """Add nothing: the base moves as it was measured."""
