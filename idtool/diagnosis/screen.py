@@ -320,24 +320,33 @@ def _sums_by_probe(linearized: LinearizedFit, probes: Sequence[Probe], progress:
         row_filter = _row_filter(linearized, batch)
         Q, e = _model_rows(linearized, row_filter, number)
         blocks = _block_slices(block_index)
-        for joint, index, columns in _weighted_columns(linearized, probes, row_filter, model):
-            probe_rows = _rows_by_probe(starts, index)
+        for rows, index, columns in _weighted_columns(linearized, probes, row_filter, model):
+            own_places = _places_by_probe(starts, index)
             for f, part in blocks:
-                x = columns[:, part]
-                _add_products_with_model(sums, f, index, Q[joint][:, part], e[joint][part], x)
-                for rows in probe_rows:
-                    k = rows.shape[1]
-                    own = x[rows]  # (i, k, n)
-                    sums.CC[f, index[rows], :k] += own @ own.transpose(0, 2, 1)
+                x = _one_after_the_other(columns[:, :, part])
+                own_Q = np.concatenate([Q[row][:, part] for row in rows], axis=1)
+                own_e = np.concatenate([e[row][part] for row in rows])
+                _add_products_with_model(sums, f, index, own_Q, own_e, x)
+                for places in own_places:
+                    k = places.shape[1]
+                    own = x[places]  # (i, k, samples)
+                    sums.CC[f, index[places], :k] += own @ own.transpose(0, 2, 1)
     return sums
+
+
+def _one_after_the_other(columns: Array) -> Array:
+    """Columns in several rows of the equation, shape (rows, m, n), with the rows' samples in one row, (m, rows · n)."""
+    rows, m, n = columns.shape
+    return columns.transpose(1, 0, 2).reshape(m, rows * n)
 
 
 def _weighted_columns(
     linearized: LinearizedFit, probes: Sequence[Probe], row_filter: RowFilter, model: LinearizedModel
-) -> Iterator[tuple[int, Indices, Array]]:
+) -> Iterator[tuple[Indices, Indices, Array]]:
     """`_probe_columns` in units of the noise; 0 at samples that do not count."""
-    for joint, index, filtered in _probe_columns(probes, _coefficient_starts(probes), row_filter, model):
-        yield joint, index, filtered * _weight(linearized, row_filter, joint)
+    weights = np.stack([_weight(linearized, row_filter, row) for row in range(linearized.joint_count)])
+    for rows, index, filtered in _probe_columns(probes, _coefficient_starts(probes), row_filter, model):
+        yield rows, index, filtered * weights[rows, None]
 
 
 def _row_filter(linearized: LinearizedFit, batch: Batch) -> RowFilter:
@@ -394,8 +403,9 @@ def _weighted_batches(
         row_filter = _row_filter(linearized, batch)
         Q, e = _model_rows(linearized, row_filter, number)
         parts: dict[int, list[tuple[Indices, Array]]] = {}
-        for joint, index, columns_of_joint in _weighted_columns(linearized, probes, row_filter, model):
-            parts.setdefault(joint, []).append((index, columns_of_joint))
+        for rows, index, columns_in_rows in _weighted_columns(linearized, probes, row_filter, model):
+            for row, own_columns in zip(rows.tolist(), columns_in_rows, strict=True):
+                parts.setdefault(row, []).append((index, own_columns))
         columns = {}
         for joint, own_parts in parts.items():
             indices, weighted = zip(*own_parts, strict=True)
@@ -425,7 +435,7 @@ def _block_slices(block_index: Indices) -> list[tuple[int, slice]]:
     return [(int(block_index[first]), slice(first, stop)) for first, stop in zip(firsts, stops, strict=True)]
 
 
-def _rows_by_probe(starts: Indices, index: Indices) -> list[Indices]:
+def _places_by_probe(starts: Indices, index: Indices) -> list[Indices]:
     """Places of each probe's columns among some columns, shape (i, k) for each number of coefficients k.
 
     Parameters
@@ -492,8 +502,8 @@ def _model_rows(linearized: LinearizedFit, row_filter: RowFilter, number: int) -
 
 def _probe_columns(
     probes: Sequence[Probe], starts: Indices, row_filter: RowFilter, model: LinearizedModel
-) -> Iterator[tuple[int, Indices, Array]]:
-    """Joint, indices of coefficients, and their filtered columns, shape (m, n).
+) -> Iterator[tuple[Indices, Indices, Array]]:
+    """Rows of the equation, indices of coefficients, and their filtered columns in these rows, shape (rows, m, n).
 
     A bounded number of columns is evaluated at a time. With a fixed base, those that are kept from an earlier model are
     not evaluated again, and come all together.
@@ -521,12 +531,12 @@ def _probe_columns(
             waiting.setdefault(joint, []).append((start, columns))
             waiting_count[joint] += len(columns)
             if waiting_count[joint] >= _MAX_COLUMNS:
-                yield from _filtered(joint, waiting.pop(joint), row_filter, kept, keys)
+                yield _filtered(joint, waiting.pop(joint), row_filter, kept, keys)
                 waiting_count[joint] = 0
     for joint, own in waiting.items():
-        yield from _filtered(joint, own, row_filter, kept, keys)
+        yield _filtered(joint, own, row_filter, kept, keys)
     for joint, own in known.items():
-        yield joint, _indices(own), np.concatenate([columns for _, columns in own])
+        yield np.array([joint]), _indices(own), np.concatenate([columns for _, columns in own])[None]
 
 
 def _filtered(
@@ -535,7 +545,7 @@ def _filtered(
     row_filter: RowFilter,
     kept: KeptColumns | None,
     keys: Mapping[int, Hashable],
-) -> Iterator[tuple[int, Indices, Array]]:
+) -> tuple[Indices, Indices, Array]:
     """Columns of a joint's equation, filtered, in all rows in which they appear; see `_probe_columns`.
 
     Parameters
@@ -549,11 +559,10 @@ def _filtered(
     kept, keys
         Where filtered columns are kept, and under which keys, by first index.
     """
-    index = _indices(started_columns)
-    for row, filtered in row_filter.one_row(joint, np.concatenate([columns for _, columns in started_columns])):
-        if kept is not None:
-            _keep(started_columns, filtered, kept, keys)
-        yield row, index, filtered
+    rows, filtered = row_filter.one_row(joint, np.concatenate([columns for _, columns in started_columns]))
+    if kept is not None:
+        _keep(started_columns, filtered[0], kept, keys)
+    return rows, _indices(started_columns), filtered
 
 
 def _keep(

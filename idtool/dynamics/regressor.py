@@ -542,8 +542,8 @@ def _projected_columns_of(effect: Effect, motion: Motion, row_filter: RowFilter)
         own_rows = [row for row, active in enumerate(effect.active) if len(active)]
         if len(own_rows) == 1:
             (row,) = own_rows
-            for other, passed_on in row_filter.one_row(row, columns[row]):
-                filtered[other, effect.active[row]] = passed_on
+            rows, in_rows = row_filter.one_row(row, columns[row])
+            filtered[np.ix_(rows, effect.active[row])] = in_rows
             return (filtered,)
         for first in range(0, m, _PROJECTED_TOGETHER):
             chosen = range(first, min(first + _PROJECTED_TOGETHER, m))

@@ -9,14 +9,14 @@ Shapes: nv rows, m columns, N samples, n samples after decimation.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from typing_extensions import override
 
-from idtool.common.arrays import Array, Mask
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Batch
 from idtool.dynamics.contact_model import ContactModel
 
@@ -46,8 +46,20 @@ class RowFilter(ABC):
         """Filtered rows of all coordinates, from shape (nv, ..., N) to (nv, ..., n)."""
 
     @abstractmethod
-    def one_row(self, row: int, columns: Array) -> Iterator[tuple[int, Array]]:
-        """Filtered columns that stand in one row only, shape (m, N): each row in which they appear, and (m, n)."""
+    def one_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
+        """Filtered columns that stand in one row only.
+
+        Parameters
+        ----------
+        row
+            The row.
+        columns
+            The columns in it, shape (m, N).
+
+        Returns
+        -------
+        The k rows in which they appear, and the filtered columns in these, shape (k, m, n).
+        """
 
 
 @dataclass(frozen=True)
@@ -73,8 +85,8 @@ class SeparateRows(RowFilter):
         return self.batch.filter(rows)
 
     @override
-    def one_row(self, row: int, columns: Array) -> Iterator[tuple[int, Array]]:
-        yield row, self.batch.filter(columns)
+    def one_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
+        return np.array([row]), self.batch.filter(columns)[None]
 
 
 @dataclass(frozen=True)
@@ -115,9 +127,11 @@ class ProjectedRows(RowFilter):
         return self.batch.filter(self.contacts.project(self.projector, rows))
 
     @override
-    def one_row(self, row: int, columns: Array) -> Iterator[tuple[int, Array]]:
+    def one_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
         noise = self.contacts.noise
-        for other in range(self.projector.shape[1]):
-            passed_on = self.projector[:, other, row] * (noise[other] / noise[row])
-            if passed_on.any():
-                yield other, self.batch.filter(columns * passed_on)
+        passed_on = self.projector[:, :, row] * (noise / noise[row])  # (N, nv)
+        rows = np.flatnonzero(passed_on.any(axis=0))
+        filtered = np.empty((len(rows), len(columns), len(self.batch.t)))
+        for out, shares in zip(filtered, passed_on[:, rows].T, strict=True):
+            out[:] = self.batch.filter(columns * shares)
+        return rows, filtered

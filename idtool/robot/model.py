@@ -181,6 +181,21 @@ def _free_body(link: str, mount: Frame, first: int, coordinates: int, is_base: b
     )
 
 
+def check_wrench_sensors(robot: Robot, config: Config) -> None:
+    """Refuse a wrench sensor at a joint that does not exist or that moves.
+
+    Raises
+    ------
+    ConfigError
+        If there is one.
+    """
+    fixed = [joint.name for joint in robot.joints.values() if joint.kind == "fixed"]
+    for i, sensor in enumerate(config.wrench_sensors):
+        if sensor.joint not in fixed:
+            what = f"is not a fixed joint of the URDF; {suggestion(sensor.joint, fixed)}"
+            raise ConfigError(f"wrench_sensors.{i}.joint: {sensor.joint}", what)
+
+
 def build_model(robot: Robot, config: Config, logged: Iterable[str]) -> RobotModel:
     """The model of a robot of which some joints were logged.
 
@@ -220,7 +235,7 @@ class _Builder:
         self.joints = self._moving_joints()
         self.index = {joint.name: i for i, joint in enumerate(self.joints)}
         self._check_names()
-        self._check_sensors()
+        check_wrench_sensors(self.robot, self.config)
         self.sensors: dict[str, int] = {}  # fixed joint with a wrench sensor → its first coordinate
         for sensor in self.config.wrench_sensors:
             self.sensors[sensor.joint] = len(self.joints)
@@ -265,14 +280,6 @@ class _Builder:
         to_body[3:, 3:] = frame.R
         to_body[3:, :3] = skew(frame.p) @ frame.R
         return sensor.sign * to_body
-
-    def _check_sensors(self) -> None:
-        """Refuse a wrench sensor at a joint that does not exist or that moves."""
-        fixed = [joint.name for joint in self.robot.joints.values() if joint.kind == "fixed"]
-        for i, sensor in enumerate(self.config.wrench_sensors):
-            if sensor.joint not in fixed:
-                what = f"is not a fixed joint of the URDF; {suggestion(sensor.joint, fixed)}"
-                raise ConfigError(f"wrench_sensors.{i}.joint: {sensor.joint}", what)
 
     def _check_base(self) -> None:
         """Refuse a base, an IMU or a contact on a link that does not exist, or that moves against the base."""

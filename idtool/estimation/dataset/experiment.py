@@ -33,7 +33,7 @@ from idtool.estimation.dataset.imu_delay import with_imu_delay
 from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.estimation.dataset.weights import initial_row_noise
 from idtool.robot.config import Config
-from idtool.robot.model import RobotModel, build_model
+from idtool.robot.model import RobotModel, build_model, check_wrench_sensors
 from idtool.robot.urdf.reading import Robot
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
@@ -314,6 +314,7 @@ def prepare(
         raise ConfigError("--holdout", f"{holdout:g} is not a fraction; give a number from 0 to below 1")
     if not logs and not validate:
         raise LogError("logs", "no log given; name at least one log file")
+    check_wrench_sensors(robot, config)
     fitted = [transform(_read(log, config)) for log in logs]
     validated = [transform(_read(log, config)) for log in validate]
     every = (*fitted, *validated)

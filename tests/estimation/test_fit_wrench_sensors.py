@@ -1,0 +1,131 @@
+"""An arm in MuJoCo with a sensor of force and moment at a fixed joint."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sensor_arm import COULOMB, JOINTS, LINKS, SENSOR, urdf_text, write_log
+
+import idtool
+from idtool.common.exceptions import ConfigError, LogError
+
+OFFSET = np.array([3.0, -2.0, 5.0, 0.1, 0.2, -0.3])
+TRUE_MASS = {link.name: link.mass for link in LINKS}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("arm")
+    write_log(path / "arm.csv", 8.0, OFFSET)
+    write_log(path / "without_torque.csv", 8.0, OFFSET, with_torque=False)
+    (path / "arm.urdf").write_text(urdf_text())
+    heavier = urdf_text()
+    for mass in TRUE_MASS.values():
+        heavier = heavier.replace(f'mass value="{mass}"', f'mass value="{1.3 * mass:g}"')
+    (path / "prior.urdf").write_text(heavier)
+    return path
+
+
+def settings(**sensor: Any) -> dict[str, Any]:
+    ellipsoids = {link.name: [{"center": [0.1, 0, 0.05], "semi_axes": [0.3, 0.2, 0.2]}] for link in LINKS}
+    return {"wrench_sensors": [{"joint": SENSOR, **sensor}], "bounding_ellipsoids": ellipsoids}
+
+
+def test_sensor_determines_what_it_carries_and_its_own_offset(folder: Path) -> None:
+    """The wrench of gravity, turned in all directions, tells the mass, which the joints' torque alone does not."""
+    result = idtool.fit(idtool.Model(folder / "prior.urdf", config=settings()), folder / "arm.csv", quick=True)
+    carried = result.bodies["upper"].mass + result.bodies["hand"].mass
+    assert carried == pytest.approx(TRUE_MASS["upper"] + TRUE_MASS["hand"], rel=0.015)
+    sensor = result.wrench_sensors[SENSOR]
+    np.testing.assert_allclose(sensor.offset, OFFSET, atol=0.05)
+    for name in JOINTS:
+        assert result.friction[name].coulomb == pytest.approx(COULOMB, abs=0.01)
+
+    result.save(folder / "out")
+    model = idtool.Model(folder / "out" / "identified.urdf", config=folder / "out" / "model.yaml")
+    again = idtool.validate(model, folder / "arm.csv").rms.model
+    for name in (*JOINTS, f"{SENSOR}_force_x", f"{SENSOR}_moment_z"):
+        assert again[name] == pytest.approx(result.rms.validation[name], rel=0.2)
+
+
+def test_other_sign_and_other_frame_of_the_same_reading(folder: Path) -> None:
+    """Given as the wrench on the parent, in the frame of a link that is fixed to the child."""
+    log = (folder / "arm.csv").read_text().splitlines()
+    names = log[0].split(",")
+    table = np.loadtxt(log[1:], delimiter=",")
+    first = names.index(f"force_{SENSOR}_x")
+    force, moment = table[:, first : first + 3], table[:, first + 3 : first + 6]
+    R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # of the plate in the upper half, a quarter turn
+    p = np.array([0.02, 0.0, 0.03])
+    on_parent = np.hstack([-force @ R, -(moment - np.cross(p, force)) @ R])
+    np.savetxt(
+        folder / "plate.csv",
+        np.hstack([table[:, :first], on_parent]),
+        fmt="%.9g",
+        delimiter=",",
+        header=",".join(names),
+        comments="",
+    )
+    plate = (
+        '<link name="plate"/><joint name="plate_joint" type="fixed">'
+        '<origin xyz="0.02 0 0.03" rpy="0 0 1.5707963267949"/>'
+        '<parent link="upper"/><child link="plate"/></joint></robot>'
+    )
+    (folder / "plate.urdf").write_text(urdf_text().replace("</robot>", plate))
+    given = settings(sign=-1, frame="plate", offset="none")
+    turned = idtool.validate(idtool.Model(folder / "plate.urdf", config=given), folder / "plate.csv").rms.model
+    straight = idtool.Model(folder / "arm.urdf", config=settings(offset="none"))
+    expected = idtool.validate(straight, folder / "arm.csv").rms.model
+    for name, rms in expected.items():
+        assert turned[name] == pytest.approx(rms, rel=1e-5)
+
+
+def test_joints_without_torque_are_left_out(folder: Path) -> None:
+    """The sensor alone tells the bodies that it carries; those below it keep their prior."""
+    model = idtool.Model(folder / "prior.urdf", config=settings())
+    result = idtool.fit(model, folder / "without_torque.csv", quick=True)
+    carried = result.bodies["upper"].mass + result.bodies["hand"].mass
+    assert carried == pytest.approx(TRUE_MASS["upper"] + TRUE_MASS["hand"], rel=0.015)
+    assert result.bodies["shoulder"].mass == pytest.approx(1.3 * TRUE_MASS["shoulder"], rel=1e-3)
+    assert result.rms.train["lift"] == 0.0
+    assert "torque_unknown" in [notice.code for notice in result.notices]
+
+
+def test_diagnosis_names_friction_beside_a_sensor(folder: Path) -> None:
+    """Coulomb friction of one joint that the model lacks, and nothing on the rows of the sensor."""
+    friction = {name: {"viscous": True, "coulomb": name != "lift"} for name in JOINTS}
+    model = idtool.Model(folder / "arm.urdf", config={**settings(), "friction": friction})
+    diagnosis = idtool.diagnose(model, folder / "arm.csv", effects=["coulomb_friction", "torque_offset", "payload"])
+    (step,) = diagnosis.steps
+    assert (step.effect, step.joint) == ("coulomb_friction", "lift")
+    assert step.parameters["coulomb"] == pytest.approx(COULOMB, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "message"),
+    [
+        ({"joint": "lift"}, "is not a fixed joint"),
+        ({"joint": "uper_ft"}, f"did you mean {SENSOR}"),
+        ({"joint": SENSOR, "frame": "lower"}, "moves against link upper"),
+        ({"joint": SENSOR, "frame": "plate"}, "is not a link"),
+    ],
+)
+def test_sensor_at_a_wrong_place_is_refused(folder: Path, sensor: dict[str, Any], message: str) -> None:
+    model = idtool.Model(folder / "arm.urdf", config={"wrench_sensors": [sensor]})
+    with pytest.raises(ConfigError, match=message):
+        idtool.validate(model, folder / "arm.csv")
+
+
+def test_missing_channel_is_named(folder: Path) -> None:
+    model = idtool.Model(folder / "arm.urdf", config=settings(topic="/ft"))
+    with pytest.raises(LogError, match="has no channel force_ft_x"):
+        idtool.validate(model, folder / "arm.csv")
+
+
+def test_commands_that_need_joints_alone_refuse_a_sensor(folder: Path) -> None:
+    model = idtool.Model(folder / "arm.urdf", config=settings())
+    with pytest.raises(ConfigError, match="wrench_sensors"):
+        idtool.simulate(model, folder / "arm.csv")
