@@ -40,7 +40,7 @@ def test_sensor_determines_what_it_carries_and_its_own_offset(folder: Path) -> N
     carried = result.bodies["upper"].mass + result.bodies["hand"].mass
     assert carried == pytest.approx(TRUE_MASS["upper"] + TRUE_MASS["hand"], rel=0.015)
     sensor = result.wrench_sensors[SENSOR]
-    np.testing.assert_allclose(sensor.offset, OFFSET, atol=0.05)
+    np.testing.assert_allclose(sensor.offset, OFFSET, atol=0.15)
     for name in JOINTS:
         assert result.friction[name].coulomb == pytest.approx(COULOMB, abs=0.01)
 
