@@ -22,7 +22,7 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import RobotModel
 
-_MIN_DELAY = 2e-3  # s: less is as much as soft feet make of a delay that was found by the kinematics
+_MIN_DELAY_SAMPLES = 0.9  # half a sample is in every log
 _MAX_PROBED_DELAY = 0.05  # s
 _MAX_DELAY = 1.0  # s: what is later belongs to another motion
 
@@ -86,7 +86,7 @@ class ImuDelay(FixedEffect):
 
         def to_entry(c: Array, information: Array) -> EffectEntry | None:
             delay = float(c[0])
-            if not _MIN_DELAY < abs(delay) < _MAX_PROBED_DELAY:
+            if not _MIN_DELAY_SAMPLES * summary.dt < abs(delay) < _MAX_PROBED_DELAY:
                 return None
             return EffectEntry(effect=cls.id, parameters={"delay": delay})
 
