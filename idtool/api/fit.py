@@ -194,8 +194,9 @@ def fit_experiment(
     maps = None
     if analyze_uncertainty:
         if experiment.model.has_only_joints:  # those of a floating base would be sought with a fixed one
-            faults = [fault for fault in find_data_faults(experiment, progress) if fault.code in _UNCORRECTABLE_FAULTS]
-            solved = replace(solved, notices=(*faults, *solved.notices))
+            faults = find_data_faults(experiment, progress)
+            uncorrectable = [fault for fault in faults if fault.code in _UNCORRECTABLE_FAULTS]
+            solved = replace(solved, notices=(*uncorrectable, *solved.notices))
         prior_maps = residual_maps(solved.experiment, experiment.equation.prior, progress)
         identified_maps = residual_maps(solved.experiment, solved.estimate.theta, progress)
         maps = (prior_maps, identified_maps)

@@ -22,12 +22,18 @@ SENSOR_CHANNEL = re.compile(r"imu_(q[wxyz]|[wa][xyz])|contact_.+|force_.+_m?[xyz
 _QUATERNION = ("imu_qw", "imu_qx", "imu_qy", "imu_qz")
 _MIN_NORM = 0.5  # of a quaternion; drivers publish zeros as long as they know no orientation
 _MAX_CLOCK_ERROR = 86_400.0  # s, from a flag to the joints, beyond which it has another clock
-_MAX_STEPS = 10.0  # between samples of a channel, in its own median steps and in the joints', beyond which it has a gap
+_MAX_STEPS = 10.0  # from one sample of a channel to the next, in median steps, beyond which it has a gap
 
 
 @dataclass(frozen=True)
 class SensorOptions:
-    """How to read the topics of sensors: that of the IMU, or None for the only one."""
+    """Options for reading the topics of sensors.
+
+    Attributes
+    ----------
+    imu_topic
+        Topic of the IMU; None: the only one.
+    """
 
     imu_topic: str | None = None
 
@@ -71,7 +77,9 @@ def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
         what = f"no two samples in a row have joints and sensors; compare the times of {join_names(list(channels))}"
         raise LogError(log.path, what)
     notices = log.notices
-    lost = sum(s.stop - s.start for s in log.segments) - sum(s.stop - s.start for s in segments)
+    samples_before = sum(segment.stop - segment.start for segment in log.segments)
+    samples_left = sum(segment.stop - segment.start for segment in segments)
+    lost = samples_before - samples_left
     if lost:
         message = f"{count_text(lost, 'sample')} without a value of every sensor; left out"
         notices += (Notice("sensors_missing", "note", None, message),)
