@@ -37,7 +37,7 @@ def inspect_command(
             topic=options.topic,
             columns=options.columns,
             scale=dict(options.scale),
-            sensors=settings.base.kind == "floating",
+            sensors=settings.base.kind == "floating" or bool(settings.wrench_sensors),
             imu_topic=settings.base.imu.topic,
         )
         progress("inspecting", 0.0)

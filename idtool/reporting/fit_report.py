@@ -12,7 +12,6 @@ from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry, friction_types
-from idtool.dynamics.effects.torque_offset import TorqueOffset
 from idtool.estimation.dataset.equality_constraints import Constraint
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.fit import Fit
@@ -192,10 +191,11 @@ def wrench_sensor_reports(fit: Fit) -> dict[str, WrenchSensorReport]:
     """Readings without load of the wrench sensors whose offset was identified."""
     experiment = fit.experiment
     names = experiment.model.names
+    offset_id = friction_types()["offset"].id
     reports = {}
     for i, (joint, to_body) in enumerate(experiment.model.wrench_sensors.items()):
         rows = names[experiment.model.sensor_coordinates(i)]
-        indices = [_coefficient_index(fit, TorqueOffset.id, row) for row in rows]
+        indices = [_coefficient_index(fit, offset_id, row) for row in rows]
         to_reading = np.zeros((len(rows), len(experiment.equation.coefficients)))
         for column, index in zip(np.linalg.inv(to_body).T, indices, strict=True):
             if index is None:

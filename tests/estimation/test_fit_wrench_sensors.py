@@ -83,6 +83,14 @@ def test_other_sign_and_other_frame_of_the_same_reading(folder: Path) -> None:
         assert turned[name] == pytest.approx(rms, rel=1e-5)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_sensor_with_the_opposite_sign_is_named(folder: Path, sign: int) -> None:
+    model = idtool.Model(folder / "prior.urdf", config=settings(sign=sign))
+    notices = idtool.validate(model, folder / "arm.csv", simulation=False).notices
+    found = [(notice.subject, notice.advice) for notice in notices if notice.code == "wrench_sensor_sign"]
+    assert found == ([] if sign == 1 else [(SENSOR, "set sign: 1")])
+
+
 def test_joints_without_torque_are_left_out(folder: Path) -> None:
     """The sensor alone tells the bodies that it carries; those below it keep their prior."""
     model = idtool.Model(folder / "prior.urdf", config=settings())

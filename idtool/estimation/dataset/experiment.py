@@ -32,6 +32,7 @@ from idtool.estimation.dataset.equality_constraints import EqualityConstraints, 
 from idtool.estimation.dataset.imu_delay import with_imu_delay
 from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.estimation.dataset.weights import initial_row_noise
+from idtool.estimation.dataset.wrench_sensor_sign import sign_notices
 from idtool.robot.config import Config
 from idtool.robot.model import RobotModel, build_model, check_wrench_sensors
 from idtool.robot.urdf.reading import Robot
@@ -356,6 +357,7 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
     signals = Signals(log, model.joint_names, config, sensors, wrench_channels)
     if sensors is not None:
         signals.notices += imu_findings(log)
+    signals.notices += sign_notices(signals, model, config)
     return signals
 
 

@@ -1,0 +1,55 @@
+"""Checks the sign of wrench sensors by the URDF's bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.common.notice import Notice
+from idtool.data.signals import Signals
+from idtool.robot.config import Config
+from idtool.robot.inverse_dynamics import inverse_dynamics
+from idtool.robot.model import RobotModel
+
+_MAX_CORRELATION = -0.5  # of a force with that of the URDF's bodies, below which it is the opposite force
+
+
+def sign_notices(signals: Signals, model: RobotModel, config: Config) -> Iterator[Notice]:
+    """Notices about sensors whose force is the opposite of that of the URDF's bodies.
+
+    A sensor between a contact and the base carries the contact's force too, and is not checked.
+
+    Parameters
+    ----------
+    signals
+        A log, of which the first batch is used.
+    model
+        The tree of bodies, with the parameters of the URDF.
+    config
+        The configuration.
+    """
+    if not config.wrench_sensors:
+        return
+    motion = next(signals.batches()).motion
+    pi = np.stack([body.pi for body in model.bodies])
+    by_urdf = inverse_dynamics(model, pi, motion.q, motion.v, motion.a)
+    support = model.support()
+    contact_bodies = [model.frames[contact.link].body for contact in config.contacts]
+    for i, sensor in enumerate(config.wrench_sensors):
+        first = model.sensor_coordinates(i).start
+        force = slice(first, first + 3)
+        if support[contact_bodies, first].any():
+            continue
+        if _correlation(motion.tau[force], by_urdf[force]) < _MAX_CORRELATION:
+            message = "its force is the opposite of what the URDF's bodies weigh"
+            yield Notice("wrench_sensor_sign", "problem", sensor.joint, message, f"set sign: {-sensor.sign}")
+
+
+def _correlation(a: Array, b: Array) -> float:
+    """Correlation of the changes of two vectors, shape (3, N) each; 0 if one does not change."""
+    changes_a = a - a.mean(axis=1, keepdims=True)
+    changes_b = b - b.mean(axis=1, keepdims=True)
+    size = float(np.linalg.norm(changes_a) * np.linalg.norm(changes_b))
+    return float((changes_a * changes_b).sum()) / size if size else 0.0
