@@ -81,7 +81,6 @@ def test_true_robot_leaves_the_noise_of_its_sensors(folder: Path, kind: str, row
 @pytest.mark.parametrize(
     ("command", "call"),
     [
-        ("diagnose", lambda model, log, folder: idtool.diagnose(model, log)),
         ("simulate", lambda model, log, folder: idtool.simulate(model, log)),
         ("excite", lambda model, log, folder: idtool.excite(model)),
         ("study", lambda model, log, folder: idtool.study(model, log)),

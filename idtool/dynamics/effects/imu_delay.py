@@ -57,9 +57,9 @@ class ImuDelay(FixedEffect):
     def from_entry(cls, entry: EffectEntry, model: RobotModel) -> Self:
         if entry.joint is not None or entry.link is not None:
             raise ConfigError(entry_location(entry), "acts on the base; give neither joint nor link")
+        check_parameter_names(entry, ("delay",))
         if not model.has_floating_base:
             raise ConfigError(entry_location(entry), "needs a floating base; set base.kind, or remove it")
-        check_parameter_names(entry, ("delay",))
         delay = read_number(entry, "delay")
         if not abs(delay) <= _MAX_DELAY:
             message = f"a delay of {delay:g} s is too long; give at most {_MAX_DELAY:g} s"

@@ -86,9 +86,7 @@ class Config(ConfigRecord):
     def require_fixed_base(self, command: str) -> None:
         """Raise ConfigError if the base floats or a wrench is measured, which the command cannot handle."""
         if self.base.kind != "fixed":
-            what = (
-                f"idtool {command} needs a fixed base; a floating one is for fit, validate, inspect, export --to mujoco"
-            )
+            what = f"idtool {command} needs a fixed base; a floating one is for fit, validate, inspect, diagnose, export --to mujoco"
             raise ConfigError("base.kind: floating", what)
         if self.wrench_sensors:
             what = "are for fit, validate, inspect and diagnose; remove them"
