@@ -86,8 +86,9 @@ class Config(ConfigRecord):
     def require_fixed_base(self, command: str) -> None:
         """Raise ConfigError if the base floats or a wrench is measured, which the command cannot handle."""
         if self.base.kind != "fixed":
-            what = f"idtool {command} needs a fixed base; a floating one is for fit, validate, inspect, diagnose, export --to mujoco"
-            raise ConfigError("base.kind: floating", what)
+            what = f"idtool {command} needs a fixed base"
+            supported = "a floating one is for fit, validate, inspect, diagnose and export --to mujoco"
+            raise ConfigError("base.kind: floating", f"{what}; {supported}")
         if self.wrench_sensors:
             what = "are for fit, validate, inspect and diagnose; remove them"
             raise ConfigError("wrench_sensors", f"{what} for idtool {command}")
