@@ -37,9 +37,11 @@ class WrenchChannels:
         if not config.wrench_sensors:
             return None
         channels = []
+        to_body = []
         for sensor in config.wrench_sensors:
             channels.append([log.channels[name] for name in sensor.logged_channels])
-        return cls(channels, list(model.wrench_sensors.values()))
+            to_body.append(model.wrench_sensors[sensor.joint])
+        return cls(channels, to_body)
 
     def wrenches(self, t: Array, smooth: Callable[[Array], Array]) -> Array:
         """Wrenches on the bodies that the sensors carry, shape (6 per sensor, N) [N, N·m].

@@ -35,14 +35,13 @@ def held_out_mean_squares(linearized: LinearizedFit, row_equation: LinearModel) 
     count = np.zeros(linearized.joint_count)
     for run in linearized.experiment.runs:
         for batch in linearized.experiment.batches(run, held_out=True):
-            margin = linearized.reversal_margin
-            row_filter = equation.row_filter(batch, row_equation, is_clean=margin > 0, min_distance=margin)
+            row_filter = equation.row_filter(batch, row_equation, linearized.reversal_margin or None)
             all_columns = equation.filtered_columns(batch, row_filter)
-            joints = zip(equation.active(), all_columns, row_filter.counts, strict=True)
-            for j, (active, columns, counts) in enumerate(joints):
+            joints = zip(equation.active(), all_columns, row_filter.shares, strict=True)
+            for j, (active, columns, shares) in enumerate(joints):
                 residual = columns[-1] - theta[active] @ columns[:-1]
-                squares[j] += np.square(residual[counts.astype(bool)]).sum()
-                count[j] += counts.sum()
+                squares[j] += np.square(residual[shares.astype(bool)]).sum()
+                count[j] += shares.sum()
     with np.errstate(invalid="ignore"):
         return np.asarray(squares / count)
 

@@ -362,8 +362,8 @@ def _read_blocks(
             for j, (mask, own_mask) in enumerate(zip(masks, own_masks, strict=True)):
                 row_count[j] += mask.sum()
                 defined_count[j] += (mask & own_mask).sum()
-            row_filter = equation.row_filter(batch, row_equation, is_clean=True, min_distance=reversal_margin)
-            yield equation.filtered_columns(batch, row_filter), row_filter.counts
+            row_filter = equation.row_filter(batch, row_equation, reversal_margin)
+            yield equation.filtered_columns(batch, row_filter), row_filter.shares
 
     logs = []
     for run in experiment.runs:

@@ -183,7 +183,7 @@ def _residual_samples(
         for batch in tracked(experiment.batches(run, held_out), parts, progress, "estimating the noise floor"):
             model = LinearizedModel(experiment.equation, theta, batch.motion)
             if of_true_torque:
-                residual = experiment.equation.row_filter(batch).all_rows(model.residual)
+                residual = experiment.equation.row_filter(batch).filter_rows(model.residual)
             else:
                 measured, predicted = experiment.equation.compared_torques(batch, theta)
                 residual = measured - predicted
@@ -206,7 +206,7 @@ def _shares(equation: LinearModel, batch: Batch) -> Array:
     """Share of each row's noise, as power, that unknown contact forces leave; 1 with a fixed base; shape (nv, n)."""
     if equation.contacts is None:
         return np.ones((len(equation.joints), len(batch.t)))
-    return np.stack(equation.row_filter(batch).counts)
+    return np.stack(equation.row_filter(batch).shares)
 
 
 def _suffice(periodograms: Sequence[Array]) -> bool:

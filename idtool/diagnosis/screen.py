@@ -350,15 +350,13 @@ def _weighted_columns(
 
 
 def _row_filter(linearized: LinearizedFit, batch: Batch) -> RowFilter:
-    """What takes the rows of a batch to the band, and tells which of them the fit counts."""
-    return linearized.experiment.equation.row_filter(
-        batch, linearized.row_equation, is_clean=True, min_distance=linearized.reversal_margin
-    )
+    """Filter of a batch's rows, of which those count that the fit counts."""
+    return linearized.experiment.equation.row_filter(batch, linearized.row_equation, linearized.reversal_margin)
 
 
 def _weight(linearized: LinearizedFit, row_filter: RowFilter, joint: int) -> Array:
     """Inverse noise of a joint's samples, 0 at those that do not count, shape (n,)."""
-    return np.asarray((row_filter.counts[joint] > 0) / linearized.noise[joint])
+    return np.asarray((row_filter.shares[joint] > 0) / linearized.noise[joint])
 
 
 def _add_products_with_model(sums: _ProbeSums, f: int, index: Indices, Q: Array, e: Array, columns: Array) -> None:
@@ -559,7 +557,9 @@ def _filtered(
     kept, keys
         Where filtered columns are kept, and under which keys, by first index.
     """
-    rows, filtered = row_filter.one_row(joint, np.concatenate([columns for _, columns in started_columns]))
+    rows, filtered = row_filter.filter_columns_of_row(
+        joint, np.concatenate([columns for _, columns in started_columns])
+    )
     if kept is not None:
         _keep(started_columns, filtered[0], kept, keys)
     return rows, _indices(started_columns), filtered

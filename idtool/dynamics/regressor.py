@@ -26,7 +26,7 @@ from idtool.dynamics.effects.rigid_body import RigidBodies
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.linearized_model import LinearizedModel, effect_columns, kept_columns_of, kept_effect_columns
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.row_filter import Counts, ProjectedRows, RowFilter, SeparateRows
+from idtool.dynamics.row_filter import ProjectedRows, RowFilter, SeparateRows, Shares
 from idtool.robot.model import RobotModel
 
 _MAX_INVALID_WEIGHT = 0.3  # share of a valid filtered sample's weight that may come from invalid samples
@@ -223,13 +223,13 @@ class LinearModel:
         """`filtered_columns` without what unknown contact forces can exert."""
         true = self.true_motion(row_filter.batch.motion)
         parts = [_projected_columns_of(effect, true, row_filter) for effect in self.effects]
-        tau = row_filter.all_rows(self._identified_torque(true))
+        tau = row_filter.filter_rows(self._identified_torque(true))
         return list(np.concatenate([*parts, tau[:, None]], axis=1))
 
     def row_filter(
-        self, batch: Batch, defined_for: LinearModel | None = None, is_clean: bool = False, min_distance: float = 0.0
+        self, batch: Batch, defined_for: LinearModel | None = None, min_distance: float | None = None
     ) -> RowFilter:
-        """What takes the rows to the band, and tells which of them count.
+        """Filter that takes the rows of a batch to the band, and tells which of them count.
 
         Parameters
         ----------
@@ -237,40 +237,46 @@ class LinearModel:
             The samples.
         defined_for
             Equation whose columns must be defined where a row counts; None: this one.
-        is_clean
-            True for the rows of `clean_samples`, False for those of `valid_samples`. With contacts, they are the same:
-            a joint's row is left out at every sample at which it is not defined, before the filter can spread it.
         min_distance
-            Least distance in time of a clean sample from invalid ones and reversals [s].
+            Least distance in time from undefined samples and reversals, for `clean_samples` [s]; None: `valid_samples`.
+            With contacts, None is as 0: a joint's row is left out at every sample at which it is not defined, before
+            the filter can spread it.
         """
-        counting = defined_for or self
+        mask_equation = defined_for or self
         if self.contacts is None:
-            masks = counting.clean_samples(batch, min_distance) if is_clean else counting.valid_samples(batch)
-            return SeparateRows(batch, masks)
+            if min_distance is None:
+                return SeparateRows(batch, mask_equation.valid_samples(batch))
+            return SeparateRows(batch, mask_equation.clean_samples(batch, min_distance))
         true = self.true_motion(batch.motion)
-        undefined = counting._undefined_along(batch.motion, min_distance)
-        evaluate = partial(self.contacts.projector, true, undefined)
+        excluded = mask_equation._excluded_samples(batch.motion, min_distance or 0.0)
+        evaluate = partial(self.contacts.projector, true, excluded)
         kept = true.kept_columns
         if kept is None or not kept.are_along(true.q, true.v, true.a):
             return ProjectedRows(batch, self.contacts, evaluate())
         digest = blake2b()
-        for joint, mask in sorted(undefined.items()):
-            digest.update(joint.to_bytes(4) + np.packbits(mask).tobytes())
+        for joint, mask in sorted(excluded.items()):
+            digest.update(joint.to_bytes(4, "little"))
+            digest.update(np.packbits(mask).tobytes())
         key = ("projector", IdentityKey(self.contacts), digest.digest())
         (projector,) = kept.get(key, lambda: (evaluate(),))
         return ProjectedRows(batch, self.contacts, projector, key)
 
-    def _undefined_along(self, motion: Motion, min_distance: float) -> dict[int, Mask]:
-        """By joint, mask of the samples of a motion at which columns are not defined, or that are near them."""
+    def _excluded_samples(self, motion: Motion, min_distance: float) -> dict[int, Mask]:
+        """By joint, mask of the samples of a motion at which columns are not defined, or that are near such a sample.
+
+        With a distance above 0 [s], samples near a reversal of the joint are excluded too.
+        """
         reach = round(min_distance / motion.dt)
         true = self.true_motion(motion)
-        undefined = {}
+        excluded = {}
         for joint, masks in self._invalid_masks_along(motion).items():
             mask = np.logical_or.reduce(masks)
             if reach:
-                mask = ndimage.binary_dilation(mask | reversals(true.v[joint]), iterations=reach)
-            undefined[joint] = mask
-        return undefined
+                if true.q[joint].any():  # the base and the wrench sensors have no position, and no friction
+                    mask = mask | reversals(true.v[joint])
+                mask = ndimage.binary_dilation(mask, iterations=reach)
+            excluded[joint] = mask
+        return excluded
 
     def delayed_torques(self, motion: Motion) -> Array:
         """The last rows of `columns` with each of the motion's ``torques``, shape (K, nv, N)."""
@@ -326,10 +332,10 @@ class LinearModel:
         """Filtered columns and torque of all samples, and the mask of valid ones, shape (n,); per joint."""
         return self.filtered_columns(batch), self.valid_samples(batch)
 
-    def counted_rows(self, batch: Batch) -> tuple[list[Array], Counts]:
+    def counted_rows(self, batch: Batch) -> tuple[list[Array], Shares]:
         """Filtered columns and torque of all samples, and the share of each sample that counts, shape (n,); per row."""
         row_filter = self.row_filter(batch)
-        return self.filtered_columns(batch, row_filter), row_filter.counts
+        return self.filtered_columns(batch, row_filter), row_filter.shares
 
     def valid_samples(self, batch: Batch) -> list[Mask]:
         """Per joint, mask of the filtered samples whose columns are defined, shape (n,).
@@ -363,7 +369,7 @@ class LinearModel:
         clean = self.valid_samples(batch)
         if self.contacts is not None:
             return clean
-        for joint, invalid in self._undefined_along(batch.motion, min_distance).items():
+        for joint, invalid in self._excluded_samples(batch.motion, min_distance).items():
             weight = batch.low_pass.masked_share(invalid, batch.before, batch.after)
             limit = _CLEAN_WEIGHT
             if min_distance == 0:
@@ -496,7 +502,7 @@ class LinearModel:
         """`compared_torques` that differ by what no unknown contact force explains."""
         true = self.true_motion(batch.motion)
         error = self._identified_torque(true) - self._predicted_by_columns(batch.motion, theta)
-        by_row = self.row_filter(batch).all_rows(np.moveaxis(error, -2, 0))
+        by_row = self.row_filter(batch).filter_rows(np.moveaxis(error, -2, 0))
         measured = batch.filter(true.tau)
         return measured, measured - np.moveaxis(by_row, 0, -2)
 
@@ -542,16 +548,16 @@ def _projected_columns_of(effect: Effect, motion: Motion, row_filter: RowFilter)
         own_rows = [row for row, active in enumerate(effect.active) if len(active)]
         if len(own_rows) == 1:
             (row,) = own_rows
-            rows, in_rows = row_filter.one_row(row, columns[row])
+            rows, in_rows = row_filter.filter_columns_of_row(row, columns[row])
             filtered[np.ix_(rows, effect.active[row])] = in_rows
             return (filtered,)
         for first in range(0, m, _PROJECTED_TOGETHER):
             chosen = range(first, min(first + _PROJECTED_TOGETHER, m))
-            filtered[:, chosen.start : chosen.stop] = row_filter.all_rows(_rows_of(effect, columns, chosen))
+            filtered[:, chosen.start : chosen.stop] = row_filter.filter_rows(_rows_of(effect, columns, chosen))
         return (filtered,)
 
     kept = kept_columns_of(effect, motion)
-    if kept is None or not isinstance(row_filter, ProjectedRows) or row_filter.key is None:
+    if kept is None or row_filter.key is None:
         return evaluate()[0]
     (filtered,) = kept.get((row_filter.key, effect.column_key), evaluate)
     return filtered

@@ -1,7 +1,7 @@
-"""`RowFilter`: takes rows of the torque equation to the band, and tells which of them count.
+"""`RowFilter`: low-pass and decimation of rows of the torque equation, and the share of each sample that counts.
 
-With a fixed base, each row is filtered by itself. With unknown contact forces, the rows are projected first, so that
-what stands in one row appears in others too.
+With a fixed base, each row is filtered by itself. With unknown contact forces, the rows are projected first, so that a
+column of one row appears in others too.
 
 Shapes: nv rows, m columns, N samples, n samples after decimation.
 """
@@ -20,34 +20,37 @@ from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Batch
 from idtool.dynamics.contact_model import ContactModel
 
-Counts = Sequence[Array] | Sequence[Mask]  # per row, the share of each filtered sample that counts, shape (n,)
+Shares = Sequence[Array] | Sequence[Mask]  # per row, the share of each filtered sample that counts, shape (n,)
 
-_MIN_SHARE_OF_ROW = 1e-6  # that unknown contact forces leave, for it to count
+_MIN_SHARE = 1e-6  # of a row; less is rounding of the projection
 
 
 class RowFilter(ABC):
-    """Takes rows of one batch to the band.
+    """Filter of the rows along one batch.
 
     Attributes
     ----------
     batch
         The batch.
+    key
+        Key under which what it has filtered may be kept: equal for equal filters along the motion. None: not kept.
     """
 
     batch: Batch
+    key: Hashable | None = None
 
     @property
     @abstractmethod
-    def counts(self) -> Counts:
+    def shares(self) -> Shares:
         """Per row, the share of each filtered sample that counts, from 0 to 1, shape (n,)."""
 
     @abstractmethod
-    def all_rows(self, rows: Array) -> Array:
+    def filter_rows(self, rows: Array) -> Array:
         """Filtered rows of all coordinates, from shape (nv, ..., N) to (nv, ..., n)."""
 
     @abstractmethod
-    def one_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
-        """Filtered columns that stand in one row only.
+    def filter_columns_of_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
+        """Filtered columns that are nonzero in one row only.
 
         Parameters
         ----------
@@ -64,7 +67,7 @@ class RowFilter(ABC):
 
 @dataclass(frozen=True)
 class SeparateRows(RowFilter):
-    """Rows of a robot with a fixed base.
+    """Filter of a robot without unknown contact forces: each row by itself.
 
     Attributes
     ----------
@@ -77,23 +80,24 @@ class SeparateRows(RowFilter):
 
     @property
     @override
-    def counts(self) -> Sequence[Mask]:
+    def shares(self) -> Sequence[Mask]:
         return self.masks
 
     @override
-    def all_rows(self, rows: Array) -> Array:
+    def filter_rows(self, rows: Array) -> Array:
         return self.batch.filter(rows)
 
     @override
-    def one_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
+    def filter_columns_of_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
         return np.array([row]), self.batch.filter(columns)[None]
 
 
 @dataclass(frozen=True)
 class ProjectedRows(RowFilter):
-    """Rows without what unknown contact forces can exert.
+    """Filter that leaves out what unknown contact forces can exert.
 
-    The squared error of a row is the noise's square times the share of the row that these forces leave.
+    The expected squared error of a row is the square of its noise times the share that these forces leave of it: the
+    diagonal of the projector, which varies slowly within the length of the filter.
 
     Attributes
     ----------
@@ -102,7 +106,7 @@ class ProjectedRows(RowFilter):
     projector
         From `ContactModel.projector`, shape (N, nv, nv).
     key
-        Key of the projector, equal for equal ones along the motion; None: not known.
+        As in `RowFilter`.
     """
 
     batch: Batch
@@ -111,27 +115,29 @@ class ProjectedRows(RowFilter):
     key: Hashable | None = None
 
     @cached_property
-    def _shares(self) -> Sequence[Array]:
-        diagonal = np.ascontiguousarray(np.diagonal(self.projector, axis1=1, axis2=2).T)
-        shares = np.clip(self.batch.filter(diagonal), 0.0, 1.0)
-        shares[shares < _MIN_SHARE_OF_ROW] = 0.0  # what is left of the row is rounding
+    def _row_shares(self) -> Sequence[Array]:
+        diagonal = np.diagonal(self.projector, axis1=1, axis2=2).T
+        filtered = self.batch.filter(np.ascontiguousarray(diagonal))
+        shares = np.clip(filtered, 0.0, 1.0)  # the filter overshoots where a contact opens
+        shares[shares < _MIN_SHARE] = 0.0
         return list(shares)
 
     @property
     @override
-    def counts(self) -> Sequence[Array]:
-        return self._shares
+    def shares(self) -> Sequence[Array]:
+        return self._row_shares
 
     @override
-    def all_rows(self, rows: Array) -> Array:
+    def filter_rows(self, rows: Array) -> Array:
         return self.batch.filter(self.contacts.project(self.projector, rows))
 
     @override
-    def one_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
+    def filter_columns_of_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
+        # projected in units of the noise, as by `ContactModel.project`
         noise = self.contacts.noise
-        passed_on = self.projector[:, :, row] * (noise / noise[row])  # (N, nv)
-        rows = np.flatnonzero(passed_on.any(axis=0))
+        gains = self.projector[:, :, row] * (noise / noise[row])  # (N, nv)
+        rows = np.flatnonzero(gains.any(axis=0))
         filtered = np.empty((len(rows), len(columns), len(self.batch.t)))
-        for out, shares in zip(filtered, passed_on[:, rows].T, strict=True):
-            out[:] = self.batch.filter(columns * shares)
+        for out, gain in zip(filtered, gains[:, rows].T, strict=True):
+            out[:] = self.batch.filter(columns * gain)
         return rows, filtered

@@ -273,7 +273,7 @@ class _Builder:
         )
 
     def _sensor_to_body(self, sensor: WrenchSensor) -> Array:
-        """See `RobotModel.wrench_sensors`."""
+        """Matrix from a sensor's reading to the wrench on the body that it carries, shape (6, 6)."""
         frame = self.frames[sensor.frame or self.robot.joints[sensor.joint].child]
         to_body = np.zeros((WRENCH_SIZE, WRENCH_SIZE))
         to_body[:3, :3] = frame.R

@@ -54,8 +54,8 @@ def test_columns_of_one_row_are_filtered_as_those_of_all_rows(tmp_path: Path, rn
     columns = rng.normal(size=(3, SAMPLES))
     in_all_rows = np.zeros((18, 3, SAMPLES))
     in_all_rows[4] = columns
-    rows, filtered = row_filter.one_row(4, columns)
-    expected = row_filter.all_rows(in_all_rows)
+    rows, filtered = row_filter.filter_columns_of_row(4, columns)
+    expected = row_filter.filter_rows(in_all_rows)
     np.testing.assert_allclose(filtered, expected[rows], atol=1e-12)
     others = np.setdiff1d(np.arange(18), rows)
     np.testing.assert_allclose(expected[others], 0, atol=1e-12)
@@ -91,12 +91,12 @@ def test_change_by_a_position_includes_that_of_the_contacts(tmp_path: Path, rng:
     displaced = equation_of(tmp_path, rng, entry)
     batch = Batch(motion, 0, 0, LowPass(40.0, 4, STEP, 5))
     row_filter = displaced.row_filter(batch)
-    residual = row_filter.all_rows(displaced.residual(motion, displaced.prior))
+    residual = row_filter.filter_rows(displaced.residual(motion, displaced.prior))
 
     model = LinearizedModel(true, true.prior, motion)
     np.testing.assert_allclose(model.residual, 0, atol=1e-4)
     zero = np.zeros(SAMPLES)
     change = model.torque_change_by_motion(JOINTS.index(joint), np.full(SAMPLES, offset), zero, zero)
-    expected = true.row_filter(batch).all_rows(-change)
+    expected = true.row_filter(batch).filter_rows(-change)
     assert np.abs(expected).max() > 1e-4
     np.testing.assert_allclose(residual, expected, atol=0.02 * np.abs(expected).max())

@@ -1,4 +1,4 @@
-"""Series of a motion that are recorded late or early."""
+"""Delays: as a configuration gives them, and series of a motion that are recorded late or early."""
 
 from __future__ import annotations
 
@@ -9,10 +9,29 @@ from scipy import ndimage
 from scipy.interpolate import BSpline
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
+from idtool.dynamics.effects.entry_parameters import entry_location, read_number
+from idtool.robot.config import EffectEntry
 
+_MAX_DELAY = 1.0  # s: what is later belongs to another motion
 _SPLINE_BASIS = BSpline.basis_element(np.arange(-3.0, 4.0))  # of order 5, about 0
 _SPLINE_MARGIN = 16  # samples, more than a spline of order 5 is influenced by
+
+
+def read_delay(entry: EffectEntry) -> float:
+    """Parameter ``delay`` of a configuration's entry [s].
+
+    Raises
+    ------
+    ConfigError
+        If it is no number, or too long.
+    """
+    delay = read_number(entry, "delay")
+    if not abs(delay) <= _MAX_DELAY:
+        message = f"a delay of {delay:g} s is too long; give at most {_MAX_DELAY:g} s"
+        raise ConfigError(entry_location(entry), message)
+    return delay
 
 
 def delayed(x: Array, samples: float) -> Array:

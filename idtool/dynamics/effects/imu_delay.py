@@ -13,8 +13,8 @@ from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
-from idtool.dynamics.effects.delayed_series import beyond_samples, delayed
-from idtool.dynamics.effects.entry_parameters import check_parameter_names, entry_location, read_number
+from idtool.dynamics.effects.delayed_series import beyond_samples, delayed, read_delay
+from idtool.dynamics.effects.entry_parameters import check_parameter_names, entry_location
 from idtool.dynamics.effects.fixed_effect import FixedEffect
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.dynamics.effects.probe import Probe
@@ -22,13 +22,12 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import RobotModel
 
-_MIN_DELAY_SAMPLES = 0.9  # half a sample is in every log
-_MAX_PROBED_DELAY = 0.05  # s
-_MAX_DELAY = 1.0  # s: what is later belongs to another motion
+_MIN_DELAY_SAMPLES = 0.9  # as of the torque's delay: less is in every log
+_MAX_PROBED_DELAY = 0.05  # s: beyond, a first-order estimate means nothing
 
 
 class ImuDelay(FixedEffect):
-    """The measured motion of a floating base is the true one a delay earlier, or later if the delay is negative.
+    """Delay of a floating base's measured motion against the joints: measured(t) = true(t − delay).
 
     Parameters
     ----------
@@ -60,11 +59,7 @@ class ImuDelay(FixedEffect):
         check_parameter_names(entry, ("delay",))
         if not model.has_floating_base:
             raise ConfigError(entry_location(entry), "needs a floating base; set base.kind, or remove it")
-        delay = read_number(entry, "delay")
-        if not abs(delay) <= _MAX_DELAY:
-            message = f"a delay of {delay:g} s is too long; give at most {_MAX_DELAY:g} s"
-            raise ConfigError(entry_location(entry), message)
-        return cls(model, delay)
+        return cls(model, read_delay(entry))
 
     @classmethod
     @override
@@ -75,13 +70,14 @@ class ImuDelay(FixedEffect):
         coordinates = summary.model.base_coordinates
         base = range(coordinates.start, coordinates.stop)
 
+        # without the turn of the contacts by the late orientation, which matters little
         def columns(motion: Motion, linearized: Linearization) -> Mapping[int, Array]:
             zero = np.zeros_like(motion.t)
             change = np.zeros_like(motion.q)
             for row in base:
-                v_rate = np.gradient(motion.v[row], motion.dt)
-                a_rate = np.gradient(motion.a[row], motion.dt)
-                change += linearized.torque_change_by_motion(row, zero, v_rate, a_rate)
+                acceleration = np.gradient(motion.v[row], motion.dt)
+                jerk = np.gradient(motion.a[row], motion.dt)
+                change += linearized.torque_change_by_motion(row, zero, acceleration, jerk)
             return {row: own[None] for row, own in enumerate(change)}
 
         def to_entry(c: Array, information: Array) -> EffectEntry | None:
@@ -124,7 +120,7 @@ class ImuDelay(FixedEffect):
     @override
     def invalid_mask(self, motion: Motion) -> dict[int, Mask]:
         """Samples at which the motion of the base lies beyond the batch; it is in the rows of all joints."""
-        if not motion.is_log:
+        if not self.delay or not motion.is_log:
             return {}
         mask = beyond_samples(motion, self.delay)
         return dict.fromkeys(range(len(motion.q)), mask)

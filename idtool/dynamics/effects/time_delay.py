@@ -13,7 +13,7 @@ from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
-from idtool.dynamics.effects.delayed_series import beyond_samples, delayed
+from idtool.dynamics.effects.delayed_series import beyond_samples, delayed, read_delay
 from idtool.dynamics.effects.entry_parameters import (
     check_parameter_names,
     entry_location,
@@ -30,7 +30,6 @@ from idtool.robot.model import RobotModel
 
 _MIN_DELAY_SAMPLES = 0.9  # a command acts until the next sample, so that half a sample of delay is in every log
 _MAX_PROBED_DELAY = 0.1  # s
-_MAX_DELAY = 1.0  # s: what is later belongs to another motion
 
 
 class TimeDelay(FixedEffect):
@@ -84,11 +83,7 @@ class TimeDelay(FixedEffect):
             )
         check_parameter_names(entry, ("delay",))
         joint = None if entry.joint is None else read_joint_index(entry, entry.joint, model)
-        delay = read_number(entry, "delay")
-        if not abs(delay) <= _MAX_DELAY:
-            message = f"a delay of {delay:g} s is too long; give at most {_MAX_DELAY:g} s"
-            raise ConfigError(entry_location(entry), message)
-        return cls(model, delay, joint)
+        return cls(model, read_delay(entry), joint)
 
     @classmethod
     @override

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.dynamics.row_filter import Counts
+from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.reduction import Factor, Reduction, merge
 
 _MOST_BLOCKS = 256  # of all logs together
@@ -83,7 +83,7 @@ def block_rows(rows: int, seconds: float, band_hz: float, most: int) -> int:
     return max(int(np.ceil(_PERIODS / band_hz / seconds)), -(-rows // most))
 
 
-def cut_into_blocks(rows: Iterable[tuple[list[Array], Counts]], length: int, redundancy: float) -> Iterator[Reduction]:
+def cut_into_blocks(rows: Iterable[tuple[list[Array], Shares]], length: int, redundancy: float) -> Iterator[Reduction]:
     """Reductions of blocks of ``length`` rows each from a stream of rows.
 
     Parameters

@@ -24,7 +24,7 @@ from idtool.data.wrench_channels import WrenchChannels
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
-from idtool.dynamics.row_filter import Counts
+from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
 from idtool.estimation.dataset.contact_detection import is_foot, with_detected_contacts
@@ -38,7 +38,7 @@ from idtool.robot.model import RobotModel, build_model, check_wrench_sensors
 from idtool.robot.urdf.reading import Robot
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
-Rows = Iterable[tuple[list[Array], Counts]]
+Rows = Iterable[tuple[list[Array], Shares]]
 
 _LARGEST = 1e12  # of a signal in SI: powers of what is larger are not finite
 _STANDING = {"prismatic": 0.005}  # m, that a joint may move and still count as standing

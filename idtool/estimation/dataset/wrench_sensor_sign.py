@@ -13,11 +13,11 @@ from idtool.robot.config import Config
 from idtool.robot.inverse_dynamics import inverse_dynamics
 from idtool.robot.model import RobotModel
 
-_MAX_CORRELATION = -0.5  # of a force with that of the URDF's bodies, below which it is the opposite force
+_MAX_CORRELATION = -0.5  # of a force with that of the URDF's bodies, below which its sign is wrong
 
 
 def sign_notices(signals: Signals, model: RobotModel, config: Config) -> Iterator[Notice]:
-    """Notices about sensors whose force is the opposite of that of the URDF's bodies.
+    """Notices about sensors whose force changes oppositely to that of the URDF's bodies.
 
     A sensor between a contact and the base carries the contact's force too, and is not checked.
 
@@ -32,7 +32,10 @@ def sign_notices(signals: Signals, model: RobotModel, config: Config) -> Iterato
     """
     if not config.wrench_sensors:
         return
-    motion = next(signals.batches()).motion
+    batch = next(iter(signals.batches()), None)
+    if batch is None:
+        return
+    motion = batch.motion
     pi = np.stack([body.pi for body in model.bodies])
     by_urdf = inverse_dynamics(model, pi, motion.q, motion.v, motion.a)
     support = model.support()
@@ -43,12 +46,13 @@ def sign_notices(signals: Signals, model: RobotModel, config: Config) -> Iterato
         if support[contact_bodies, first].any():
             continue
         if _correlation(motion.tau[force], by_urdf[force]) < _MAX_CORRELATION:
-            message = "its force is the opposite of what the URDF's bodies weigh"
+            message = "its force changes oppositely to that of the URDF's bodies"
             yield Notice("wrench_sensor_sign", "problem", sensor.joint, message, f"set sign: {-sensor.sign}")
 
 
 def _correlation(a: Array, b: Array) -> float:
     """Correlation of the changes of two vectors, shape (3, N) each; 0 if one does not change."""
+    # changes, since what a sensor reads without load is not known
     changes_a = a - a.mean(axis=1, keepdims=True)
     changes_b = b - b.mean(axis=1, keepdims=True)
     size = float(np.linalg.norm(changes_a) * np.linalg.norm(changes_b))

@@ -130,7 +130,7 @@ class Barrier:
         self.nu = sum(int(np.prod(group.least.shape[:2])) for group in self._groups)
         self._mu = gap / max(self.nu, 1)
         self._E, self._e = problem.E @ problem.S, problem.e
-        self._N = null_space(self._E)
+        self._N = null_space(self._E) if len(self._E) else None
         self._center = self._strictly_inside(P, q, start)
         self.x = self._center
         self.move(P, q)
@@ -188,7 +188,7 @@ class Barrier:
             relaxed += group.relaxed(slack=m)
         P_relaxed = np.zeros((m + 1, m + 1))
         P_relaxed[:m, :m] = P
-        N_relaxed = block_diag(self._N, np.ones((1, 1)))
+        N_relaxed = None if self._N is None else block_diag(self._N, np.ones((1, 1)))
         x = np.append(x, 1 - min(group.smallest(x) for group in inequalities))
         for pull in _PULLS:
             x, _ = _minimise(relaxed, P_relaxed, np.append(q, -pull), x, N_relaxed)
@@ -251,8 +251,8 @@ def _concatenated(groups: list[_Group]) -> _Group:
     )
 
 
-def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, N: Array) -> tuple[Array, bool]:
-    """Newton's method with a line search from x, strictly inside, along the columns of N, shape (m, f).
+def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, N: Array | None) -> tuple[Array, bool]:
+    """Newton's method with a line search from x, strictly inside, along the columns of N, shape (m, f); None: anywhere.
 
     Returns
     -------
@@ -289,19 +289,20 @@ def _derivatives(groups: list[_Group], P: Array, q: Array, x: Array) -> tuple[Ar
     return gradient, H
 
 
-def _newton(H: Array, gradient: Array, N: Array) -> Array | None:
-    """Step to the minimum of the second-order model along the columns of N, shape (m, f).
+def _newton(H: Array, gradient: Array, N: Array | None) -> Array | None:
+    """Step to the minimum of the second-order model along the columns of N, shape (m, f); None: anywhere.
 
-    None: rounding has left nothing of the model.
+    None is returned if rounding has left nothing of the model.
     """
-    H_free = N.T @ H @ N
+    H_free = H if N is None else N.T @ H @ N
+    gradient_free = gradient if N is None else N.T @ gradient
     size = 1 / np.sqrt(H_free.diagonal())
     try:
         factor = cho_factor(H_free * size[:, None] * size, check_finite=False)
-        step = -size * cho_solve(factor, size * (N.T @ gradient), check_finite=False)
+        step = -size * cho_solve(factor, size * gradient_free, check_finite=False)
     except np.linalg.LinAlgError:
         return None
-    return np.asarray(N @ step)
+    return np.asarray(step if N is None else N @ step)
 
 
 def _search(slope: float, curvature: float, rates: Array, weights: Array) -> float:

@@ -343,7 +343,7 @@ class WholeRobotReport(Record):
 
 
 class WrenchSensorReport(Record):
-    """What a sensor of force and moment reads without load."""
+    """Reading of a sensor of force and moment without load."""
 
     offset: list[float] = field("Force [N] and moment [N·m], along the axes of the sensor.")
     standard_error: list[float | None] = field("Standard errors; null if the data do not determine one.")

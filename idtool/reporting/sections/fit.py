@@ -126,7 +126,7 @@ class WholeRobotSection(Section[FitReport]):
 
 
 class WrenchSensorsSection(Section[FitReport]):
-    """What the wrench sensors read without load."""
+    """Readings of the wrench sensors without load."""
 
     title = "Offsets of the wrench sensors"
 
