@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -251,12 +251,20 @@ def linearize_fit(
         reversal_margin = reference.reversal_margin
         if not own_rows:
             row_experiment = reference.row_experiment
-    blocks = _read_blocks(experiment, length, progress, row_experiment.equation, reversal_margin)
     equation = experiment.equation
+
+    def read(equation: LinearModel) -> tuple[list[Blocks], Array]:
+        return _read_blocks(experiment, equation, length, progress, row_experiment.equation, reversal_margin)
+
+    blocks, rms_torque = read(equation)
     reduction = experiment.checked(merge_reductions([log.total for log in blocks]))
-    rms_torque = _rms_torque(experiment.model, reduction)
     if reference is None:
-        noise = free_noise(equation, reduction, experiment.equalities)
+        free_equation, free_reduction = equation, reduction
+        if equation.known_bodies is not None:  # what is wrong with these is no noise
+            free_equation = replace(equation, known_bodies=None)
+            free_blocks, _ = read(free_equation)
+            free_reduction = merge_reductions([log.total for log in free_blocks])
+        noise = free_noise(free_equation, free_reduction, experiment.equalities)
         noise_gain = noise_gain_of(experiment, noise)
     else:
         noise_gain = reference.noise_gain
@@ -291,12 +299,19 @@ def linearize_fit(
     )
 
 
-def _rms_torque(model: RobotModel, reduction: Reduction) -> Array:
+def _rms_torque(model: RobotModel, mean_squares: Array) -> Array:
     """Rms of each joint's torque, and size of the force and the moment of each sensor and of the base, shape (nv,).
 
     The moment counts as at least that of the force at a lever arm of `_LEVER_ARM`.
+
+    Parameters
+    ----------
+    model
+        The tree of bodies.
+    mean_squares
+        Mean squared torque of each row, shape (nv,).
     """
-    squares = np.array([np.square(factor.R[:, -1]).sum() / max(factor.rows, 1.0) for factor in reduction])
+    squares = mean_squares.copy()
     for first in range(model.joint_count, len(model.joints), WRENCH_SIZE):
         force, moment = first + np.arange(WRENCH_SIZE).reshape(2, 3)
         squares[force] = squares[force].sum()
@@ -342,18 +357,25 @@ def _block_length(experiment: Experiment) -> int:
 
 
 def _read_blocks(
-    experiment: Experiment, length: int, progress: Progress, row_equation: LinearModel, reversal_margin: float
-) -> list[Blocks]:
-    """Training data in blocks of rows at which the columns of ``row_equation`` are defined.
+    experiment: Experiment,
+    equation: LinearModel,
+    length: int,
+    progress: Progress,
+    row_equation: LinearModel,
+    reversal_margin: float,
+) -> tuple[list[Blocks], Array]:
+    """Training data in blocks of rows at which the columns of ``row_equation`` are defined, and `_rms_torque`.
 
     Raises
     ------
     ConfigError
-        If the columns of the experiment's own equation are hardly ever defined at a joint's rows.
+        If the columns of the equation are hardly ever defined at a joint's rows.
     """
-    equation = experiment.equation
-    row_count = np.zeros(len(equation.joints))
-    defined_count = np.zeros(len(equation.joints))
+    nv = len(equation.joints)
+    row_count = np.zeros(nv)
+    defined_count = np.zeros(nv)
+    squares = np.zeros(nv)
+    share_sum = np.zeros(nv)
 
     def filtered_rows(batches: Iterable[Batch]) -> Rows:
         for batch in batches:
@@ -363,6 +385,10 @@ def _read_blocks(
                 row_count[j] += mask.sum()
                 defined_count[j] += (mask & own_mask).sum()
             row_filter = equation.row_filter(batch, row_equation, reversal_margin)
+            torque = equation.filtered_torque(batch, row_filter)
+            for j, (row, share) in enumerate(zip(torque, row_filter.shares, strict=True)):
+                squares[j] += np.square(row[share.astype(bool)]).sum()
+                share_sum[j] += share.sum()
             yield equation.filtered_columns(batch, row_filter), row_filter.shares
 
     logs = []
@@ -379,7 +405,7 @@ def _read_blocks(
         if defined < _MIN_DEFINED_ROWS * total:
             what = f"at joint {name}, all effects are defined in only {defined:.0f} of {total:.0f} samples"
             raise ConfigError("effects", f"{what}; log more motion")
-    return logs
+    return logs, _rms_torque(experiment.model, squares / np.maximum(share_sum, 1.0))
 
 
 def _directions(

@@ -143,7 +143,13 @@ def with_fixed_inertia(experiment: Experiment) -> Experiment:
     others = [constraint for constraint in equalities.constraints if constraint.row[body_parameter_count:].any()]
     no_prior = Regularization(kind="none", weight=0)
     config = experiment.config.model_copy(update={"constraints": "none", "regularization": no_prior})
-    return replace(experiment, config=config, equalities=replace(equalities, constraints=(*others, *inertia)))
+    values = equalities.K @ prior[equalities.free]
+    return replace(
+        experiment,
+        config=config,
+        equation=replace(experiment.equation, known_bodies=values[:body_parameter_count]),
+        equalities=replace(equalities, constraints=(*others, *inertia)),
+    )
 
 
 def has_fixed_inertia(experiment: Experiment) -> bool:

@@ -51,12 +51,16 @@ class LinearModel:
     contacts
         Forces at the contacts of a robot with a floating base; None: the base is fixed. Filtered rows are without what
         the unknown ones can exert, which takes coefficients from one row to another.
+    known_bodies
+        Parameters of all bodies, if they are known, shape (10 · bodies,). Then the bodies have no columns in filtered
+        rows, and their torque is subtracted from the measured one. None: they are identified.
     """
 
     joints: tuple[str, ...]
     effects: tuple[Effect, ...]
     operating_point: OperatingPoint = field(default_factory=dict)
     contacts: ContactModel | None = None
+    known_bodies: Array | None = None
     _true_motions: dict[IdentityKey[Motion], Motion] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -97,7 +101,7 @@ class LinearModel:
         """The model with its columns at other coefficients, shape (p,)."""
         operating_point = {c.key: float(x) for c, x in zip(self.coefficients, theta, strict=True)}
         effects = tuple(copy(effect) for effect in self.effects)
-        return LinearModel(self.joints, effects, operating_point, self.contacts)
+        return replace(self, effects=effects, operating_point=operating_point)
 
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
@@ -133,18 +137,26 @@ class LinearModel:
 
     def active(self) -> tuple[Indices, ...]:
         """Per joint, indices of the unknowns in its filtered rows."""
+        effects = [(effect, part.start) for effect, part in self.effect_slices() if self._has_filtered_columns(effect)]
         if self.contacts is None:
-            return self.active_in_columns()
-        return tuple(np.arange(len(self.coefficients)) for _ in self.joints)
+            return self._active_of(effects)
+        all_indices = _joined([first + np.arange(len(effect.coefficients)) for effect, first in effects])
+        return tuple(all_indices for _ in self.joints)
 
     def active_in_columns(self) -> tuple[Indices, ...]:
         """Per joint, indices of the unknowns in its `columns`."""
-        firsts = self.offsets()[:-1]
+        return self._active_of([(effect, part.start) for effect, part in self.effect_slices()])
+
+    def _active_of(self, effects: Sequence[tuple[Effect, int]]) -> tuple[Indices, ...]:
+        """Per joint, indices of the unknowns of effects, each with the index of its first one."""
         active = []
         for joint in range(len(self.joints)):
-            parts = [first + effect.active[joint] for first, effect in zip(firsts, self.effects, strict=True)]
-            active.append(np.concatenate(parts))
+            active.append(_joined([first + effect.active[joint] for effect, first in effects]))
         return tuple(active)
+
+    def _has_filtered_columns(self, effect: Effect) -> bool:
+        """False for bodies that are known."""
+        return self.known_bodies is None or not isinstance(effect, RigidBodies)
 
     def columns(self, motion: Motion) -> list[Array]:
         """Unfiltered columns and torque, per joint; shape (m_j + 1, N) each, the torque last.
@@ -180,7 +192,7 @@ class LinearModel:
         residual = self.torque_left_for_bodies(true, theta)
         for effect, part in self.effect_slices():
             if isinstance(effect, RigidBodies):
-                residual -= _kept_rigid_body_torque(effect, theta[part], true)
+                residual -= _torque(effect, theta[part], true)
         return residual
 
     def torque_left_for_bodies(self, true_motion: Motion, theta: Array) -> Array:
@@ -212,9 +224,9 @@ class LinearModel:
         if self.contacts is not None:
             return self._projected_columns(row_filter or self.row_filter(batch))
         true = self.true_motion(batch.motion)
-        tau = batch.filter(self._identified_torque(true))
+        tau = batch.filter(self._torque_of_unknowns(true))
         parts: list[list[Array]] = [[] for _ in self.joints]
-        for effect in self.effects:
+        for effect in filter(self._has_filtered_columns, self.effects):
             for part, columns in zip(parts, _filtered_columns(effect, true, batch), strict=True):
                 part.append(columns)
         return [np.concatenate([*part, row[None]]) for part, row in zip(parts, tau, strict=True)]
@@ -222,9 +234,14 @@ class LinearModel:
     def _projected_columns(self, row_filter: RowFilter) -> list[Array]:
         """`filtered_columns` without what unknown contact forces can exert."""
         true = self.true_motion(row_filter.batch.motion)
-        parts = [_projected_columns_of(effect, true, row_filter) for effect in self.effects]
-        tau = row_filter.filter_rows(self._identified_torque(true))
+        effects = filter(self._has_filtered_columns, self.effects)
+        parts = [_projected_columns_of(effect, true, row_filter) for effect in effects]
+        tau = row_filter.filter_rows(self._torque_of_unknowns(true))
         return list(np.concatenate([*parts, tau[:, None]], axis=1))
+
+    def filtered_torque(self, batch: Batch, row_filter: RowFilter) -> Array:
+        """Filtered torque as in `columns`, shape (nv, n): in `filtered_columns`, that of known bodies is subtracted."""
+        return row_filter.filter_rows(self._identified_torque(self.true_motion(batch.motion)))
 
     def row_filter(
         self, batch: Batch, defined_for: LinearModel | None = None, min_distance: float | None = None
@@ -309,6 +326,14 @@ class LinearModel:
         fixed = self._fixed_torque(motion)
         torque = motion.tau if fixed is None else motion.tau - fixed
         return torque if self.contacts is None else torque + self.contacts.measured_force(motion)
+
+    def _torque_of_unknowns(self, motion: Motion) -> Array:
+        """`_identified_torque` less that of known bodies, shape (nv, N)."""
+        torque = self._identified_torque(motion)
+        if self.known_bodies is None:
+            return torque
+        (bodies,) = (effect for effect in self.effects if isinstance(effect, RigidBodies))
+        return torque - _torque(bodies, self.known_bodies, motion)
 
     def _fixed_torque(self, motion: Motion) -> Array | None:
         """Torque of the effects without a coefficient, shape (nv, N)."""
@@ -452,6 +477,10 @@ class LinearModel:
 
     def _predicted_by_columns(self, motion: Motion, theta: Array) -> Array:
         """Columns times coefficients, shape (..., nv, N)."""
+        if theta.ndim == 1:
+            true = self.true_motion(motion)
+            torques = [_torque(effect, theta[part], true) for effect, part in self.effect_slices()]
+            return np.asarray(np.sum(torques, axis=0))
         rows = []
         for active, block in zip(self.active_in_columns(), self.columns(motion), strict=True):
             rows.append(theta[..., active] @ block[:-1])
@@ -538,6 +567,11 @@ class LinearModel:
         return mechanism
 
 
+def _joined(indices: Sequence[Indices]) -> Indices:
+    """Indices one after the other; none for no array."""
+    return np.concatenate([np.zeros(0, dtype=np.intp), *indices])
+
+
 def _projected_columns_of(effect: Effect, motion: Motion, row_filter: RowFilter) -> Array:
     """Filtered columns of an effect along a true motion in all rows, shape (nv, m, n); kept ones where there are."""
 
@@ -573,18 +607,15 @@ def _rows_of(effect: Effect, columns: Sequence[Array], chosen: range) -> Array:
 
 
 def _torque(effect: Effect, theta: Array, motion: Motion) -> Array:
-    """Torque of an effect with its coefficients, shape (m,), along a true motion; shape (nv, N)."""
+    """Torque of an effect with its coefficients, shape (m,), along a true motion, shape (nv, N); kept if it can be."""
+    if isinstance(effect, RigidBodies):
+        kept = kept_columns_of(effect, motion)
+        if kept is None:
+            return effect.torque(theta, motion)
+        (torque,) = kept.get(("torque", effect.column_key, theta.tobytes()), lambda: (effect.torque(theta, motion),))
+        return torque
     columns = kept_effect_columns(effect, motion)
     return np.stack([theta[active] @ own for active, own in zip(effect.active, columns, strict=True)])
-
-
-def _kept_rigid_body_torque(bodies: RigidBodies, theta: Array, motion: Motion) -> Array:
-    """Torque of rigid bodies with their coefficients, shape (m,), along a true motion; kept if it can be."""
-    kept = kept_columns_of(bodies, motion)
-    if kept is None:
-        return bodies.torque(theta, motion)
-    (torque,) = kept.get(("torque", bodies.column_key, theta.tobytes()), lambda: (bodies.torque(theta, motion),))
-    return torque
 
 
 def _filtered_columns(effect: Effect, motion: Motion, batch: Batch) -> Sequence[Array]:

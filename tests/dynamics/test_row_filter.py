@@ -100,3 +100,23 @@ def test_change_by_a_position_includes_that_of_the_contacts(tmp_path: Path, rng:
     expected = true.row_filter(batch).filter_rows(-change)
     assert np.abs(expected).max() > 1e-4
     np.testing.assert_allclose(residual, expected, atol=0.02 * np.abs(expected).max())
+
+
+def test_known_bodies_have_no_columns_and_their_torque_is_subtracted(tmp_path: Path, rng: Generator) -> None:
+    friction = EffectEntry(effect="coulomb_friction", joint=JOINTS[0], parameters={"coulomb": 0.1})
+    free = equation_of(tmp_path, rng, friction)
+    for equation in (free, replace(free, contacts=None)):
+        count = len(equation.coefficients) - 1  # of the bodies
+        known = equation.prior[:count] * rng.uniform(0.5, 1.5, count)
+        with_known = replace(equation, known_bodies=known)
+        batch = Batch(steady_motion(rng), 0, 0, LowPass(40.0, 4, STEP, 5))
+        own = with_known.filtered_columns(batch)
+        rows = zip(own, equation.filtered_columns(batch), with_known.active(), equation.active(), strict=True)
+        for own_block, block, own_active, active in rows:
+            is_body = active < count
+            np.testing.assert_array_equal(own_active, active[~is_body])
+            np.testing.assert_allclose(own_block[:-1], block[:-1][~is_body], atol=1e-12)
+            expected = block[-1] - known[active[is_body]] @ block[:-1][is_body]
+            np.testing.assert_allclose(own_block[-1], expected, atol=1e-9)
+        torque = with_known.filtered_torque(batch, equation.row_filter(batch))
+        np.testing.assert_allclose(torque, [block[-1] for block in equation.filtered_columns(batch)], atol=1e-12)
