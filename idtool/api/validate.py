@@ -211,7 +211,7 @@ def validate_experiment(
         sources += tuple(replace(s, kind=f"prior's {s.kind}") for s in sources_of(prior.robot, prior.settings))
     evaluation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
     rollouts = None
-    if simulate and experiment.model.has_only_joints:
+    if simulate:
         rollouts = evaluate_rollouts(experiment, models, held_out=True, progress=progress)
     simulation = simulation_report(rollouts, "model", experiment)
     notices = [*experiment.notices, *simulation_notices(rollouts, "model")]

@@ -317,7 +317,7 @@ class Signals:
                 stop = min(start + size, last)
                 before = min(low_pass.reach, start - samples.start)
                 after = min(low_pass.reach, samples.stop - stop)
-                motion = self._motion(slice(start - before, stop + after), delays)
+                motion = self.motion(slice(start - before, stop + after), delays)
                 yield Batch(motion, before, after, low_pass)
 
     def velocity(self, part: slice) -> Array:
@@ -330,7 +330,8 @@ class Signals:
                 v[:, start - part.start : stop - part.start] = known_v
         return v
 
-    def _motion(self, part: slice, delays: Sequence[float]) -> Motion:
+    def motion(self, part: slice, delays: Sequence[float] = ()) -> Motion:
+        """Motion at samples of one of the `ranges`, with the torque for further delays of the commands [s]."""
         t = self.channels.times(part) - self.log.start
         q, v, a = self._kinematics(part, self.velocity_from_position)
         (tau, *delayed), logged_tau = self._torques(part, (self.controller.delay, *delays))

@@ -178,13 +178,13 @@ def _run_search(experiment: Experiment, options: Options, progress: Progress) ->
     return search
 
 
-def _begin_simulation(fitted: Fit, is_wanted: bool) -> Background[RolloutEvaluation] | nullcontext[None]:
+def _begin_simulation(fitted: Fit, is_wanted: bool) -> Background[RolloutEvaluation | None] | nullcontext[None]:
     """Simulation of a fitted model beside what comes next, if it is wanted."""
     return Background(partial(simulate_fit, fitted)) if is_wanted else nullcontext()
 
 
 def _with_simulation(
-    fitted: Fit, simulation: Background[RolloutEvaluation] | None, progress: Progress, stages: Stages
+    fitted: Fit, simulation: Background[RolloutEvaluation | None] | None, progress: Progress, stages: Stages
 ) -> Fit:
     """Fitted model with the result of its simulation, unless something prevents it."""
     if simulation is None:

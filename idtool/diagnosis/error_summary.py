@@ -43,7 +43,7 @@ def evaluate_errors(experiment: Experiment, theta: Array, simulate: bool, progre
     simulation = None
     if simulate:
         rollouts = evaluate_rollouts(experiment, models, held_out, progress)
-        if _MODEL not in rollouts.failed:
+        if rollouts is not None and _MODEL not in rollouts.failed:
             simulation = rollouts.errors[_MODEL].rmse(joints, "position")
     return _summary(train, validation, simulation, joints)
 

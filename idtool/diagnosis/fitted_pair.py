@@ -160,7 +160,7 @@ class FittedPair:
         position = None
         if simulate:
             rollouts = evaluate_rollouts(experiment, {_MODEL: theta}, self.robot_fit.has_held_out, self._progress)
-            if _MODEL in rollouts.errors:
+            if rollouts is not None and _MODEL in rollouts.errors:
                 position = rollouts.errors[_MODEL].rmse(joints, "position")
         return GapLevel(torque, position)
 

@@ -34,6 +34,8 @@ from idtool.robot.model import RobotModel
 # Added to the diagonal of the Gram matrix of unit vectors, which is singular where some combination of contact forces
 # exerts nothing.
 _RIDGE = 1e-11
+_MIN_WEIGHT_SHARE = 0.02  # of the robot's weight: a smaller measured force is noise
+_GRAVITY = 9.81  # m/s²
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,19 @@ class ContactModel:
     def with_noise(self, noise: Array) -> ContactModel:
         """A copy with other noise of the rows, shape (nv,)."""
         return replace(self, noise=noise)
+
+    def acts_on_joints(self, contact_samples: ContactSamples) -> Mask:
+        """True where a contact force acts on a link that the joints move, shape (N,); not for less than noise."""
+        acts = np.zeros(contact_samples.is_closed.shape[1], dtype=bool)
+        least = _MIN_WEIGHT_SHARE * _GRAVITY * self.model.mass
+        for i, contact in enumerate(self.contacts):
+            if self.model.bodies[self.model.frames[contact.link].body].is_base:
+                continue
+            is_loaded = contact_samples.is_closed[i]
+            if contact.is_measured:
+                is_loaded = is_loaded & (np.linalg.norm(contact_samples.wrenches[i, :3], axis=0) > least)
+            acts |= is_loaded
+        return acts
 
     def measured_force(self, motion: Motion) -> Array:
         """Generalized force of the measured wrenches, which is added to tau, shape (nv, N) [N or N·m].
@@ -163,7 +178,7 @@ class ContactModel:
         nv, count = motion.q.shape
         if not unknown:
             return np.zeros((0, nv, count))
-        contact_samples = _contact_samples(motion)
+        contact_samples = contacts_of(motion)
         motions = self._body_motions(motion)
         jacobians = body_jacobians(self.model, motions)
         directions = []
@@ -230,7 +245,7 @@ def _gram(unit: Array) -> Array:
     return np.asarray(unit @ unit.transpose(0, 2, 1) + _RIDGE * np.eye(unit.shape[1]))
 
 
-def _contact_samples(motion: Motion) -> ContactSamples:
+def contacts_of(motion: Motion) -> ContactSamples:
     """Contacts of a motion; ValueError if it has none."""
     if motion.contacts is None:
         raise ValueError("the motion has no contacts, but the robot has some with unknown forces")

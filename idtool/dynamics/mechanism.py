@@ -112,6 +112,8 @@ class Mechanism:
         Delay of the measured torque relative to the position, shape (nv,) [s].
     position_offset
         True less measured position, shape (nv,) [rad or m].
+    imu_delay
+        Delay of the IMU of a floating base relative to the position [s].
     """
 
     model: RobotModel
@@ -127,9 +129,10 @@ class Mechanism:
     torque_sensors: dict[int, TorqueSensor] = field(default_factory=dict)
     torque_delay: Array = field(init=False)
     position_offset: Array = field(init=False)
+    imu_delay: float = 0.0
 
     def __post_init__(self) -> None:
-        nv = len(self.model.joints)
+        nv = self.model.joint_count
         self.pi = np.zeros((len(self.model.bodies), PI_SIZE))
         self.armature = np.zeros(nv)
         self.torque_delay = np.zeros(nv)
@@ -162,14 +165,14 @@ class Mechanism:
     @property
     def has_dry_friction(self) -> Mask:
         """True for joints with dry friction, shape (nv,)."""
-        mask = np.zeros(len(self.model.joints), dtype=bool)
+        mask = np.zeros(self.model.joint_count, dtype=bool)
         for term, coefficient in self.dry_friction_terms:
             mask[term.joint] |= coefficient != 0
         return mask
 
     def smooth_torque(self) -> TorqueFunction:
         """Torque of the smooth terms, shape (nv, W), as a function of the motion."""
-        terms = _sum(self.smooth_terms, len(self.model.joints), "column")
+        terms = _sum(self.smooth_terms, self.model.joint_count, "column")
         if not self.extra_torques:
             return terms
         functions = (terms, *self.extra_torques)
@@ -177,7 +180,7 @@ class Mechanism:
 
     def friction_level(self) -> TorqueFunction:
         """Level of the dry friction, at least 0, shape (nv, W), as a function of the motion."""
-        total = _sum(self.dry_friction_terms, len(self.model.joints), "level")
+        total = _sum(self.dry_friction_terms, self.model.joint_count, "level")
         return lambda motion: np.maximum(total(motion), 0.0)
 
     def grouped_hysteresis_terms(self) -> list[tuple[HysteresisTerm, Indices, Array]]:

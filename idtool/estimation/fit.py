@@ -188,19 +188,22 @@ def fit(
         seconds=clock.seconds,
         delay=delay,
     )
-    if simulate and experiment.model.has_only_joints:
+    if simulate:
         fitted = with_simulation(fitted, simulate_fit(fitted, progress))
     clock.stop("simulate")
     return fitted
 
 
-def simulate_fit(fitted: Fit, progress: Progress) -> RolloutEvaluation:
-    """Rollouts of an identified model and of its prior, on what was held out, else on the training data."""
+def simulate_fit(fitted: Fit, progress: Progress) -> RolloutEvaluation | None:
+    """Rollouts of an identified model and of its prior, on what was held out, else on the training data.
+
+    None if nothing can be simulated; see `evaluate_rollouts`.
+    """
     models = {"identified": fitted.estimate.theta, "prior": fitted.experiment.equation.prior}
     return evaluate_rollouts(fitted.experiment, models, fitted.has_held_out, progress)
 
 
-def with_simulation(fitted: Fit, simulation: RolloutEvaluation) -> Fit:
+def with_simulation(fitted: Fit, simulation: RolloutEvaluation | None) -> Fit:
     """A fit with rollouts of its models, and what there is to say about them."""
     notices = simulation_notices(simulation, "identified")
     return replace(fitted, simulation=simulation, notices=(*fitted.notices, *notices))

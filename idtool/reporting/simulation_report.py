@@ -25,7 +25,8 @@ def simulation_report(rollouts: RolloutEvaluation | None, model: str, experiment
     """
     if rollouts is None or model in rollouts.failed:
         return None
-    joints = experiment.equation.joints
+    joints = experiment.model.joint_names
+    units = {name: experiment.model.units[name] for name in joints}
     own = rollouts.errors[model]
     baseline = rollouts.errors["baseline"]
     prior = rollouts.errors.get("prior")
@@ -36,7 +37,7 @@ def simulation_report(rollouts: RolloutEvaluation | None, model: str, experiment
         window=rollouts.window,
         windows=WindowCount(simulated=rollouts.windows, of=rollouts.available),
         seconds=own.samples * sample_time,
-        units=position_units(experiment.model.units),
+        units=position_units(units),
         position=errors.position,
         velocity=errors.velocity,
         baseline=_errors(baseline, joints),

@@ -6,15 +6,19 @@ Letters: q, v, a positions, velocities, accelerations (nv, W), M mass matrices (
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from forward import LEG, LEG_JOINTS, LEG_ROTORS, mechanism
+from ground.robot import true_quadruped
 from mujoco_robots import Tree
+from numpy.random import Generator
 from numpy.typing import NDArray
 from reference import Reference
 from robots import actuated, random_rotors, random_urdf
+from standing_quadruped import BASE, PinocchioQuadruped, quadruped_model, random_state
 
 from idtool.common.exceptions import ModelError
 from idtool.data.signals import Motion
@@ -170,3 +174,16 @@ def test_a_body_that_is_nothing_moves_along(robot_of: ReadRobot) -> None:
     q, v, a = states(0, 3)
     machine.pi[2] = 0.0
     assert_same(torque(*RigidBodyDynamics(machine)(q, v), a), columns_torque(machine, q, v, a))
+
+
+def test_joints_on_a_moving_base_are_those_of_pinocchio(tmp_path: Path, rng: Generator) -> None:
+    """With the motion of the base given, the joints' rows are those of the robot on a free-flyer."""
+    robot, _ = quadruped_model(tmp_path, true_quadruped(0))
+    machine = Mechanism(robot)
+    machine.pi = np.stack([body.pi for body in robot.bodies])
+    motion = random_state(rng)
+    base = np.concatenate([motion.v[BASE], motion.a[BASE]])
+    M, h = RigidBodyDynamics(machine)(motion.q[:12], motion.v[:12], base)
+    witness = PinocchioQuadruped(tmp_path / "quadruped.urdf")
+    expected = np.stack([witness.torque(motion, k) for k in range(len(motion.t))], axis=1)
+    assert_same(torque(M, h, motion.a[:12]), expected[:12])

@@ -37,6 +37,14 @@ def settings(forces: str, **changes: Any) -> dict[str, Any]:
     return {**dict(content), **changes}
 
 
+def true_model(folder: Path, forces: str, **changes: Any) -> idtool.Model:
+    """The true robot with its friction."""
+    friction = {}
+    for joint, viscous, coulomb in zip(JOINTS, TRUTH.viscous, TRUTH.coulomb, strict=True):
+        friction[joint] = {"viscous": float(viscous), "coulomb": float(coulomb)}
+    return idtool.Model(folder / "true.urdf", config=settings(forces, friction=friction, **changes))
+
+
 @pytest.mark.parametrize("forces", FORCES)
 def test_mass_and_centre_of_mass_are_found(folder: Path, forces: str) -> None:
     """From a prior whose masses are 10 to 30 % off."""
@@ -68,14 +76,23 @@ def test_true_robot_leaves_the_noise_of_its_sensors(folder: Path, kind: str, row
     noise = dict.fromkeys(JOINTS, Sensors().tau * in_band)
     noise |= dict.fromkeys(BASE_COORDINATES[:3], Sensors().accelerometer * TRUTH.mass * in_band)
     noise |= dict.fromkeys(BASE_COORDINATES[3:], 0.02)
-    friction = {}
-    for joint, viscous, coulomb in zip(JOINTS, TRUTH.viscous, TRUTH.coulomb, strict=True):
-        friction[joint] = {"viscous": float(viscous), "coulomb": float(coulomb)}
     base = {**settings("unknown")["base"], "noise": {name: float(x) for name, x in noise.items()}}
-    model = idtool.Model(folder / "true.urdf", config=settings("unknown", friction=friction, base=base))
+    model = true_model(folder, "unknown", base=base)
     rms = idtool.validate(model, folder / f"{kind}.csv").rms.model
     in_noise = sum((rms[name] / noise[name]) ** 2 for name in noise)
     assert 0.4 * rows < in_noise < 1.2 * rows
+
+
+@pytest.mark.parametrize("forces", FORCES)
+def test_joints_in_the_air_are_simulated_with_the_measured_motion_of_the_base(folder: Path, forces: str) -> None:
+    prior = idtool.Model(folder / "prior.urdf", config=settings(forces))
+    simulation = idtool.validate(true_model(folder, forces), folder / "hang.csv", prior=prior).simulation
+    assert simulation is not None
+    assert simulation.prior is not None
+    assert set(simulation.units) == set(JOINTS)
+    assert simulation.position["overall"] < 0.1 * simulation.baseline.position["overall"]
+    assert simulation.position["overall"] < 0.1 * simulation.prior.position["overall"]
+    assert idtool.validate(true_model(folder, forces), folder / "stand.csv").simulation is None
 
 
 @pytest.mark.parametrize(

@@ -127,4 +127,4 @@ class ImuDelay(FixedEffect):
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
-        """Add nothing: the base moves as it was measured."""
+        mechanism.imu_delay += self.delay

@@ -71,7 +71,7 @@ class TimeDelay(FixedEffect):
     def __init__(self, model: RobotModel, delay: float, joint: int | None = None) -> None:
         super().__init__(model)
         self.delay = delay
-        self.joints = np.arange(len(model.joints)) if joint is None else np.array([joint])
+        self.joints = np.arange(model.joint_count) if joint is None else np.array([joint])
         self._owner = "all joints" if joint is None else model.names[joint]
 
     @classmethod

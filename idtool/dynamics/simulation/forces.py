@@ -20,6 +20,8 @@ from idtool.dynamics.simulation.transmission import Transmissions
 
 # t (w,), q and v (nv, w) and indices of the rollouts (w,) to torque (nv, w):
 InputTorqueFunction = Callable[[Array, Array, Array, Indices], Array]
+# t (w,) and indices of the rollouts (w,) to velocity and acceleration of a floating base, as in `RobotModel`, (12, w):
+BaseMotionFunction = Callable[[Array, Indices], Array]
 
 _NUDGE = 1e-6  # rad/s, rad: for central differences
 
@@ -46,11 +48,20 @@ class Forces:
         The torque that acts, a continuous function of time and of the state of the motor sides.
     log
         File name of the log whose torque it is; empty: none.
+    base_motion
+        Measured motion of a floating base; None: the base is fixed.
     """
 
-    def __init__(self, mechanism: Mechanism, input_torque: InputTorqueFunction, log: str = "") -> None:
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        input_torque: InputTorqueFunction,
+        log: str = "",
+        base_motion: BaseMotionFunction | None = None,
+    ) -> None:
         self._dynamics = RigidBodyDynamics(mechanism)
         self._input_torque = input_torque
+        self._base_motion = base_motion
         self._log = log
         self._transmissions = Transmissions(mechanism) if mechanism.transmissions else None
         self.motor_coordinates = motor_coordinates(mechanism)
@@ -126,7 +137,8 @@ class Forces:
     def _state(
         self, rollout_ids: Indices, t: Array, q: Array, v: Array, s: Array, sticking: Mask, hysteresis: Array
     ) -> RolloutState:
-        M, h = self._dynamics(q, v)
+        base_motion = None if self._base_motion is None else self._base_motion(t, rollout_ids)
+        M, h = self._dynamics(q, v, base_motion)
         force, level = self._force_and_level(t, q, v, hysteresis, rollout_ids)
         force -= h
         a = solve_acceleration(M, force - s * level, sticking)

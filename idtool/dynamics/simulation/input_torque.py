@@ -6,14 +6,15 @@ each along a window of a log.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.windows import gapless_range, start_times
+from idtool.dynamics.simulation.signal_interpolation import SignalInterpolation
+from idtool.dynamics.simulation.windows import gapless_range
 
 _MAX_STEP_OF_TWO = 2.5e-3  # s: longest step that takes two samples
 
@@ -43,11 +44,11 @@ class InputTorque:
         self._logged_torque = None
         if not by_command.all():
             smooth = samples_per_step(signals) == 2
-            self._logged_torque = _Interpolation(signals, windows, self._read_torque, delay=0.0, smooth=smooth)
+            self._logged_torque = SignalInterpolation(signals, windows, self._read_torque, delay=0.0, smooth=smooth)
         if self._has_controller:
             self._kp = command.kp * by_command
             self._kd = command.kd * by_command
-            self._command = _Interpolation(signals, windows, self._read_command, delay=command.delay)
+            self._command = SignalInterpolation(signals, windows, self._read_command, delay=command.delay)
 
     def _read_torque(self, part: slice) -> Array:
         """Logged torque at the time of the position, shape (nv, samples); zero for joints with a controller."""
@@ -99,52 +100,6 @@ class InputTorque:
         return tau
 
 
-class _Interpolation:
-    """A signal of each rollout, linear between samples and constant beyond the ends of its gapless range.
-
-    In steps of two samples, Simpson's rule gives those in the middle twice the weight of those at the ends. Noise
-    should weigh the same in each, so ``smooth`` applies (1, 2, 1) / 4, which makes all weights one.
-    """
-
-    def __init__(
-        self,
-        signals: Signals,
-        windows: Sequence[slice],
-        read: Callable[[slice], Array],
-        delay: float,
-        smooth: bool = False,
-    ) -> None:
-        dt = signals.log.dt
-        samples_before = int(np.ceil(delay / dt)) + 2
-        length = samples_before + max(window.stop - window.start for window in windows) + 3
-        samples = []
-        for window in windows:
-            gapless = gapless_range(signals, window)
-            samples.append(_read_padded(read, window.start - samples_before, length, gapless))
-        x = np.stack(samples, axis=1)
-        if smooth:
-            x[:, :, 1:-1] = (x[:, :, :-2] + 2 * x[:, :, 1:-1] + x[:, :, 2:]) / 4
-        self._x = x
-        self._difference = np.diff(x)
-        self._rate = 1 / dt
-        self._origin = samples_before - (start_times(signals, windows) + delay) / dt
-
-    def __call__(self, t: Array, rollout_ids: Indices) -> Array:
-        """Values, shape (nv, w), at times, shape (w,) [s]."""
-        position = t * self._rate + self._origin[rollout_ids]
-        index = position.astype(np.intp)
-        difference = self._difference[:, rollout_ids, index]
-        return np.asarray(self._x[:, rollout_ids, index] + (position - index) * difference)
-
-
 def samples_per_step(signals: Signals) -> int:
     """Samples of the log per step of the simulation."""
     return 2 if 2 * signals.log.dt <= _MAX_STEP_OF_TWO else 1
-
-
-def _read_padded(read: Callable[[slice], Array], first: int, length: int, gapless: slice) -> Array:
-    """Samples of a signal, those outside its gapless range being as at its end."""
-    end = first + length
-    start = max(first, gapless.start)
-    stop = min(end, gapless.stop)
-    return np.pad(read(slice(start, stop)), [(0, 0), (start - first, end - stop)], mode="edge")

@@ -19,7 +19,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.dynamics.mechanism import Mechanism
-from idtool.dynamics.simulation.forces import Forces, InputTorqueFunction
+from idtool.dynamics.simulation.forces import BaseMotionFunction, Forces, InputTorqueFunction
 from idtool.dynamics.simulation.integrators import linearly_implicit, runge_kutta
 from idtool.dynamics.simulation.rollout_state import RolloutState, interpolate, solve_acceleration
 from idtool.dynamics.simulation.stiction import resolve_stiction, transition_times
@@ -56,6 +56,8 @@ class Rollouts:
         The longest step [s]. All whole multiples of it after the start are ends of steps.
     log
         File name of the log whose torque acts; empty: none.
+    base_motion
+        Measured motion of a floating base; None: the base is fixed.
     """
 
     def __init__(
@@ -67,8 +69,9 @@ class Rollouts:
         input_torque: InputTorqueFunction,
         step: float = LONGEST_STEP,
         log: str = "",
+        base_motion: BaseMotionFunction | None = None,
     ) -> None:
-        self._forces = Forces(mechanism, input_torque, log)
+        self._forces = Forces(mechanism, input_torque, log, base_motion)
         self._state = self._forces.initial_state(t, q, v)
         count = len(t)
         self._grid_start = t.copy()

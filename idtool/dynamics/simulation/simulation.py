@@ -1,6 +1,7 @@
 """Simulation of a model along a log: under the logged torque, or closed loop under the joint controller.
 
-A rollout starts from the measured state. Those of many windows advance together.
+A rollout starts from the measured state. Those of many windows advance together. A floating base moves as measured, so
+that the joints are those of a robot on a moving platform; the windows are without forces on other links.
 
 Shapes: nv joints, W rollouts, N samples of the longest. Units: rad or m, s, N·m or N.
 """
@@ -21,7 +22,8 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.input_torque import InputTorque, samples_per_step
 from idtool.dynamics.simulation.rollout_state import RolloutState, interpolate
 from idtool.dynamics.simulation.rollouts import LONGEST_STEP, Rollouts
-from idtool.dynamics.simulation.windows import measured_states, start_times
+from idtool.dynamics.simulation.signal_interpolation import SignalInterpolation
+from idtool.dynamics.simulation.windows import measured_states, start_times, usable_range
 
 _MAX_TOGETHER = 256  # rollouts that advance together
 _FEW = 8  # windows, fewer than which are cut into pieces
@@ -189,9 +191,10 @@ class _Run:
         self._offset = mechanism.position_offset[:, None]
         q, v = measured_states(signals, [window.start for window in windows])
         step = min(samples_per_step(signals) * signals.log.dt, LONGEST_STEP)
+        base = _base_motion(signals, windows, mechanism) if mechanism.model.has_floating_base else None
         with _immovable_as_error(mechanism):
             log = signals.log.path.name
-            self.rollouts = Rollouts(mechanism, self._t0, q + self._offset, v, self._input_torque, step, log)
+            self.rollouts = Rollouts(mechanism, self._t0, q + self._offset, v, self._input_torque, step, log, base)
             np.linalg.cholesky(self.rollouts.mass_matrix)
         self.initial_state_vector = self.rollouts.state_vector
         shape = (len(q), len(windows), self._last.max() + 1)
@@ -266,6 +269,17 @@ class _Run:
             t = self._t0 + np.minimum(k, self._last) * self._signals.log.dt
             tau[:, :, k] = self._input_torque.measured_torque(t, self._q[:, :, k], self._v[:, :, k], rollout_ids)
         return SimulatedWindows(self._windows, self._q, self._v, tau, self._diverged)
+
+
+def _base_motion(signals: Signals, windows: Sequence[slice], mechanism: Mechanism) -> SignalInterpolation:
+    """Measured velocity and acceleration of a floating base along windows within the log's ``ranges``."""
+    base = mechanism.model.base_coordinates
+
+    def read(part: slice) -> Array:
+        motion = signals.motion(part)
+        return np.concatenate([motion.v[base], motion.a[base]])
+
+    return SignalInterpolation(signals, windows, read, delay=-mechanism.imu_delay, known_range=usable_range)
 
 
 @contextmanager

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.data.signals import Signals
+from idtool.data.signals import BATCH_SAMPLES, Signals
+from idtool.dynamics.contact_model import ContactModel, contacts_of
 
 _AROUND = 0.25  # periods of the band to either side from which a state is taken
 _MIN_SAMPLES = 3  # to either side for that
@@ -20,6 +21,26 @@ def gapless_range(signals: Signals, window: slice) -> slice:
     """Samples of the log without a gap that a window lies in."""
     parts: list[slice] = signals.channels.stretches()
     return next(part for part in parts if part.start <= window.start < part.stop)
+
+
+def usable_range(signals: Signals, window: slice) -> slice:
+    """Samples of the log with all derivatives that a window lies in."""
+    return next(part for part in signals.ranges if part.start <= window.start < part.stop)
+
+
+def stretches_in_the_air(signals: Signals, parts: Sequence[slice], contacts: ContactModel) -> list[slice]:
+    """Stretches of parts of a log in which no contact force acts on a link that the joints move."""
+    stretches = []
+    for part in parts:
+        acts = []
+        for first in range(part.start, part.stop, BATCH_SAMPLES):
+            motion = signals.motion(slice(first, min(first + BATCH_SAMPLES, part.stop)))
+            acts.append(contacts.acts_on_joints(contacts_of(motion)))
+        is_free = ~np.concatenate(acts)
+        edges = np.flatnonzero(np.diff(is_free, prepend=False, append=False)).reshape(-1, 2)
+        for first, stop in edges.tolist():
+            stretches.append(slice(part.start + first, part.start + stop))
+    return stretches
 
 
 def start_times(signals: Signals, windows: Sequence[slice]) -> Array:
@@ -39,7 +60,7 @@ def split_into_windows(
         The log.
     parts
         Samples of it, no gap within one. One that reaches to the first or last sample that has all derivatives is
-        extended to the gap before or after.
+        extended to the gap before or after, unless the motion of a base is needed there.
     seconds
         Duration of a window [s]; None: one window per part.
     share_ends
@@ -47,10 +68,12 @@ def split_into_windows(
     """
     windows = []
     for part in parts:
-        gapless = gapless_range(signals, part)
-        usable = next(whole for whole in signals.ranges if whole.start <= part.start < whole.stop)
-        start = gapless.start if part.start == usable.start else part.start
-        stop = gapless.stop if part.stop == usable.stop else part.stop
+        start, stop = part.start, part.stop
+        if signals.base_sensors is None:
+            gapless = gapless_range(signals, part)
+            usable = usable_range(signals, part)
+            start = gapless.start if part.start == usable.start else part.start
+            stop = gapless.stop if part.stop == usable.stop else part.stop
         length = stop - start
         if seconds is not None:
             length = max(round(seconds / signals.log.dt), 1)

@@ -104,7 +104,7 @@ class Experiment:
             message = "the delay is not known, so 0 is used; idtool fit determines it"
             notices.append(Notice("command_delay_not_fitted", "warning", "controller.delay", message))
         if self.model.has_floating_base:
-            message = "a robot with a floating base is not simulated; torques, forces and moments are validated"
+            message = "a robot with a floating base is simulated only while no leg touches the ground"
             notices.append(Notice("floating_base_not_simulated", "note", None, message))
         for run in self.runs:
             for notice in (*run.signals.log.notices, *run.signals.notices):

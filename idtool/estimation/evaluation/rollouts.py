@@ -21,7 +21,7 @@ from idtool.common.notice import Notice
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.simulation import simulate
-from idtool.dynamics.simulation.windows import measured_states, split_into_windows
+from idtool.dynamics.simulation.windows import measured_states, split_into_windows, stretches_in_the_air
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.envelope import Envelope, Trace
 
@@ -125,10 +125,12 @@ class RolloutEvaluation:
 
 def evaluate_rollouts(
     experiment: Experiment, models: Mapping[str, Array], held_out: bool, progress: Progress
-) -> RolloutEvaluation:
+) -> RolloutEvaluation | None:
     """Simulate the training or the held-out parts with one or more models.
 
-    Where some logs hold torque and others only a command, it is done for the latter.
+    Where some logs hold torque and others only a command, it is done for the latter. With a floating base, whose motion
+    is given, it is done while no contact force acts on the legs. None if nothing can be simulated: the torque of a
+    joint is not known, or the robot is never in the air.
 
     Parameters
     ----------
@@ -141,11 +143,21 @@ def evaluate_rollouts(
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
-    parts = [(run.signals, run.parts(held_out)) for run in experiment.runs]
+    if any(run.signals.unknown_torque for run in experiment.runs):
+        return None
+    contacts = experiment.equation.contacts
+    parts = []
+    for run in experiment.runs:
+        own_parts: Sequence[slice] = run.parts(held_out)
+        if contacts is not None:
+            own_parts = stretches_in_the_air(run.signals, own_parts, contacts)
+        parts.append((run.signals, own_parts))
     closed = any(signals.controller.joints.any() for signals, ranges in parts if ranges)
     window = None if closed else experiment.config.simulation.window
     jobs, available = _windows(parts, window, closed)
-    errors = {name: RolloutError.none(len(experiment.model.joints)) for name in (*models, "baseline")}
+    if contacts is not None and not jobs:
+        return None
+    errors = {name: RolloutError.none(experiment.model.joint_count) for name in (*models, "baseline")}
     diverged = dict.fromkeys(models, 0)
     failed: dict[str, str] = {}
     traces = []

@@ -1,0 +1,77 @@
+"""`SignalInterpolation`: a signal along the windows of rollouts, at any time of any of them.
+
+Letters: t time since the log's first sample (w,) [s]; w rollouts, each along a window of a log; k rows of the signal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from idtool.common.arrays import Array, Indices
+from idtool.data.signals import Signals
+from idtool.dynamics.simulation.windows import gapless_range, start_times
+
+
+class SignalInterpolation:
+    """A signal of each rollout, linear between samples and constant beyond the ends of what is known of it.
+
+    In steps of two samples, Simpson's rule gives those in the middle twice the weight of those at the ends. Noise
+    should weigh the same in each, so ``smooth`` applies (1, 2, 1) / 4, which makes all weights one.
+
+    Parameters
+    ----------
+    signals
+        The log.
+    windows
+        One window per rollout.
+    read
+        Signal at samples of the log, shape (k, samples).
+    delay
+        The value is that so long before [s].
+    smooth
+        See above.
+    known_range
+        Samples about a window at which the signal is known.
+    """
+
+    def __init__(
+        self,
+        signals: Signals,
+        windows: Sequence[slice],
+        read: Callable[[slice], Array],
+        delay: float,
+        smooth: bool = False,
+        known_range: Callable[[Signals, slice], slice] = gapless_range,
+    ) -> None:
+        dt = signals.log.dt
+        reach = int(np.ceil(abs(delay) / dt))
+        samples_before = reach + 2
+        length = samples_before + max(window.stop - window.start for window in windows) + 3 + reach
+        samples = []
+        for window in windows:
+            known = known_range(signals, window)
+            samples.append(_read_padded(read, window.start - samples_before, length, known))
+        x = np.stack(samples, axis=1)
+        if smooth:
+            x[:, :, 1:-1] = (x[:, :, :-2] + 2 * x[:, :, 1:-1] + x[:, :, 2:]) / 4
+        self._x = x
+        self._difference = np.diff(x)
+        self._rate = 1 / dt
+        self._origin = samples_before - (start_times(signals, windows) + delay) / dt
+
+    def __call__(self, t: Array, rollout_ids: Indices) -> Array:
+        """Values, shape (k, w), at times, shape (w,) [s]."""
+        position = t * self._rate + self._origin[rollout_ids]
+        index = position.astype(np.intp)
+        difference = self._difference[:, rollout_ids, index]
+        return np.asarray(self._x[:, rollout_ids, index] + (position - index) * difference)
+
+
+def _read_padded(read: Callable[[slice], Array], first: int, length: int, known: slice) -> Array:
+    """Samples of a signal, those outside the range in which it is known being as at its end."""
+    end = first + length
+    start = max(first, known.start)
+    stop = min(end, known.stop)
+    return np.pad(read(slice(start, stop)), [(0, 0), (start - first, end - stop)], mode="edge")
