@@ -102,6 +102,24 @@ def test_joints_without_torque_are_left_out(folder: Path) -> None:
     assert "torque_unknown" in [notice.code for notice in result.notices]
 
 
+def test_delay_of_a_controller_is_fitted_beside_a_sensor(folder: Path) -> None:
+    """The torque of the log, as the command of a controller."""
+    log = (folder / "arm.csv").read_text().splitlines()
+    names = log[0].split(",")
+    table = np.loadtxt(log[1:], delimiter=",")
+    for joint in JOINTS:
+        table[:, names.index(f"tau_{joint}")] += table[:, names.index(f"q_{joint}")]  # by a gain of 1 N m/rad
+    header = log[0].replace("tau_", "qcmd_")
+    np.savetxt(folder / "commands.csv", table, fmt="%.9g", delimiter=",", header=header, comments="")
+    controller = {"kp": dict.fromkeys(JOINTS, 1.0)}
+    model = idtool.Model(folder / "prior.urdf", config={**settings(), "controller": controller})
+    result = idtool.fit(model, folder / "commands.csv", quick=True)
+    carried = result.bodies["upper"].mass + result.bodies["hand"].mass
+    assert carried == pytest.approx(TRUE_MASS["upper"] + TRUE_MASS["hand"], rel=0.015)
+    assert result.controller is not None
+    assert result.controller.delay == pytest.approx(0.0, abs=1e-3)
+
+
 def test_diagnosis_names_friction_beside_a_sensor(folder: Path) -> None:
     """Coulomb friction of one joint that the model lacks, and nothing on the rows of the sensor."""
     friction = {name: {"viscous": True, "coulomb": name != "lift"} for name in JOINTS}
