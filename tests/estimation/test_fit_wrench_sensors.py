@@ -102,6 +102,15 @@ def test_joints_without_torque_are_left_out(folder: Path) -> None:
     assert "torque_unknown" in [notice.code for notice in result.notices]
 
 
+def test_error_of_a_joint_is_of_the_logs_with_its_torque(folder: Path) -> None:
+    model = idtool.Model(folder / "prior.urdf", config=settings())
+    alone = idtool.validate(model, folder / "arm.csv", simulation=False)
+    both = idtool.validate(model, [folder / "without_torque.csv", folder / "arm.csv"], simulation=False)
+    for name in JOINTS:
+        assert both.rms.model[name] == pytest.approx(alone.rms.model[name])
+        assert both.nrms[name] == pytest.approx(alone.nrms[name])
+
+
 def test_delay_of_a_controller_is_fitted_beside_a_sensor(folder: Path) -> None:
     """The torque of the log, as the command of a controller."""
     log = (folder / "arm.csv").read_text().splitlines()
