@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sensor_arm import COULOMB, JOINTS, LINKS, SENSOR, urdf_text, write_log
+from sensor_arm import CHANNELS, COULOMB, JOINTS, LINKS, SENSOR, urdf_text, write_log
 
 import idtool
 from idtool.common.exceptions import ConfigError, LogError
@@ -152,6 +152,33 @@ def test_sensor_at_a_wrong_place_is_refused(folder: Path, sensor: dict[str, Any]
     model = idtool.Model(folder / "arm.urdf", config={"wrench_sensors": [sensor]})
     with pytest.raises(ConfigError, match=message):
         idtool.validate(model, folder / "arm.csv")
+
+
+def with_readings(folder: Path, tmp_path: Path, first: int, step: int, reading: str) -> Path:
+    """A log with another reading of the sensor in some samples."""
+    header, *lines = [line.split(",") for line in (folder / "arm.csv").read_text().splitlines()]
+    of_sensor = [header.index(name) for name in CHANNELS]
+    for line in lines[first::step]:
+        for column in of_sensor:
+            line[column] = reading
+    (tmp_path / "log.csv").write_text("\n".join(",".join(line) for line in [header, *lines]))
+    return tmp_path / "log.csv"
+
+
+def test_band_is_that_of_a_slow_sensor(folder: Path, tmp_path: Path) -> None:
+    """A fifth of its rate, as that of the joints."""
+    log = with_readings(folder, tmp_path, 1, 2, "")
+    text = log.read_text().splitlines()
+    log.write_text("\n".join([text[0], *text[1::5]]))  # joints at 200 Hz, the sensor at 100 Hz
+    model = idtool.Model(folder / "arm.urdf", config=settings())
+    assert idtool.validate(model, log, simulation=False).band_hz == pytest.approx(20)
+
+
+def test_reading_that_no_sensor_gives_is_refused(folder: Path, tmp_path: Path) -> None:
+    log = with_readings(folder, tmp_path, 3000, 10000, "1e200")
+    model = idtool.Model(folder / "arm.urdf", config=settings())
+    with pytest.raises(LogError, match="channel force_upper_ft_x reaches 1e"):
+        idtool.validate(model, log)
 
 
 def test_missing_channel_is_named(folder: Path) -> None:
