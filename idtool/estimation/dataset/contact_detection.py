@@ -31,6 +31,7 @@ _MAX_UNFLAGGED_SHARE = 0.02  # of the time, for such a load
 _MAX_UNLOADED_SHARE = 0.3  # of the time, for a flag that is always set while the leg carries no load
 _MIN_ALWAYS_SHARE = 0.98  # of the time, from which a flag is always set
 _MIN_LEG_JOINTS = 3  # that determine the force on a foot
+_GRAVITY = 9.81  # m/s²
 _MIN_GRAM = 1e-9  # m², added to J Jᵀ, which is singular for a straight leg
 
 
@@ -122,7 +123,7 @@ def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[
         forces.append(_foot_forces(batch, model, contact_model))
     if not times:  # too short for the filter, which the fit says; then all feet count as loaded
         return FootLoads(tuple(feet), np.array([log.start]), np.ones((len(feet), 1)))
-    weight = float(np.linalg.norm(config.gravity)) * model.mass
+    weight = _GRAVITY * model.mass
     return FootLoads(tuple(feet), np.concatenate(times), np.concatenate(forces, axis=1) / weight)
 
 
