@@ -191,3 +191,23 @@ def test_commands_that_need_joints_alone_refuse_a_sensor(folder: Path) -> None:
     model = idtool.Model(folder / "arm.urdf", config=settings())
     with pytest.raises(ConfigError, match="wrench_sensors"):
         idtool.simulate(model, folder / "arm.csv")
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        (
+            {"wrench_sensors": [{"joint": SENSOR, "offset": [1, 2, 3]}]},
+            r"offset: \[1, 2, 3\] is not an offset",
+        ),
+        (
+            {"wrench_sensors": [{"joint": SENSOR, "offset": 6 * ["x"]}]},
+            "give fit, none, or six numbers",
+        ),
+        ({"base": {"imu": {"delay": 2}}}, "delay: 2 is not a delay; give auto, or a number in s of at most 1"),
+        ({"contacts": 2 * [{"name": "Foot", "link": "hand"}]}, "contacts: Foot is listed twice"),
+    ],
+)
+def test_value_that_does_not_fit_is_named(folder: Path, config: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        idtool.validate(idtool.Model(folder / "arm.urdf", config=config), folder / "arm.csv")
