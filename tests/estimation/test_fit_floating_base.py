@@ -85,6 +85,7 @@ def test_true_robot_leaves_the_noise_of_its_sensors(folder: Path, kind: str, row
         ("excite", lambda model, log, folder: idtool.excite(model)),
         ("study", lambda model, log, folder: idtool.study(model, log)),
         ("adapt", lambda model, log, folder: idtool.adapt(model, log)),
+        ("diagnose --against", lambda model, log, folder: idtool.diagnose(model, log, against=folder / "stand.csv")),
     ],
 )
 def test_commands_for_a_fixed_base_say_so(folder: Path, command: str, call: Callable[..., Any]) -> None:
