@@ -181,6 +181,14 @@ def test_reading_that_no_sensor_gives_is_refused(folder: Path, tmp_path: Path) -
         idtool.validate(model, log)
 
 
+def test_sensor_whose_reading_never_changes_is_refused(folder: Path, tmp_path: Path) -> None:
+    """It would be taken for bodies without mass."""
+    log = with_readings(folder, tmp_path, 0, 1, "0")
+    model = idtool.Model(folder / "arm.urdf", config=settings())
+    with pytest.raises(LogError, match="the wrench sensor at upper_ft reads the same all the time"):
+        idtool.fit(model, log, quick=True)
+
+
 def test_missing_channel_is_named(folder: Path) -> None:
     model = idtool.Model(folder / "arm.urdf", config=settings(topic="/ft"))
     with pytest.raises(LogError, match="has no channel force_ft_x"):
@@ -191,7 +199,7 @@ def test_commands_that_need_joints_alone_refuse_a_sensor(folder: Path) -> None:
     model = idtool.Model(folder / "arm.urdf", config=settings())
     with pytest.raises(ConfigError, match="wrench_sensors"):
         idtool.simulate(model, folder / "arm.csv")
-    with pytest.raises(ConfigError, match="wrench_sensors: are for .* idtool diagnose --against"):
+    with pytest.raises(ConfigError, match=r"wrench_sensors: are for .* idtool diagnose --against"):
         idtool.diagnose(model, folder / "arm.csv", against=folder / "without_torque.csv")
 
 

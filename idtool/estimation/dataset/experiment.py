@@ -323,6 +323,7 @@ def prepare(
     model = build_model(robot, config, common)
     for log in every:
         _check_signals(log, model.joint_names)
+        _check_wrenches(log, config)
     if model.has_floating_base:
         _check_detected_contacts(model, config)
         fitted = [with_detected_contacts(log, model, config) for log in fitted]
@@ -416,6 +417,14 @@ def _check_signals(log: JointLog, joints: Sequence[str]) -> None:
         peak = float(np.abs(channel.x).max(initial=0.0))
         if peak > _LARGEST:
             raise LogError(log.path, f"channel {printable(name)} reaches {peak:.1g}; remove invalid readings")
+
+
+def _check_wrenches(log: JointLog, config: Config) -> None:
+    """Refuse a log in which a wrench sensor is dead."""
+    for sensor in config.wrench_sensors:
+        if not any(np.ptp(log.channels[name].x) for name in sensor.logged_channels):
+            what = f"the wrench sensor at {sensor.joint} reads the same all the time; log it, or remove it"
+            raise LogError(log.path, what)
 
 
 def _split(signals: Signals, share: float) -> Run:
