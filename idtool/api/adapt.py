@@ -61,7 +61,7 @@ def adapt(
 
     report_progress = progress or ignore_progress
     loaded = load_experiment(model, logs, holdout=0.0, progress=report_progress)
-    loaded.config.require_fixed_base("adapt")
+    loaded.config.require_only_joints("adapt")
     experiment, delay, _ = with_delay(loaded, report_progress)
     sets, set_notices = choose_sets(experiment.model.bodies, experiment.config.constraints)
     adaptation = identify_online(experiment, sets, forgetting, progress=report_progress)

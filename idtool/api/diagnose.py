@@ -192,6 +192,8 @@ def diagnose(
         inertia = "fixed" if as_list(against) else "refit"
     model = as_model(model)
     simulated_logs = _paired(logs, against)
+    if simulated_logs:
+        model.settings.require_only_joints("diagnose --against")
     experiment = load_experiment(model, logs, validate, holdout, report_progress)
     check_assumptions(assumptions, experiment.model)
     search_options = Options(inertia, candidates, most, assumptions, simulation, budget)

@@ -161,7 +161,7 @@ def excite(
     report_progress = progress or ignore_progress
     _check_options(criterion, duration, rate, margin, clearance, max_frequency)
     model = as_model(model)
-    model.settings.require_fixed_base("excite")
+    model.settings.require_only_joints("excite")
     alternatives = None if decide is None else parse_alternatives(decide)
     options = DesignOptions(
         pattern=pattern,

@@ -215,7 +215,7 @@ def simulate(
     start = time.monotonic()
     report_progress = progress or ignore_progress
     model = as_model(model)
-    model.settings.require_fixed_base("simulate")
+    model.settings.require_only_joints("simulate")
     _check_options(model.settings, window, closed_loop, track)
     transform = as_logged
     if track:

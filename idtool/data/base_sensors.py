@@ -78,10 +78,14 @@ def needed_channels(config: Config) -> tuple[str, ...]:
     return tuple(channels)
 
 
-def imu_step(log: JointLog) -> float:
-    """Sample time of a log's IMU, of gyroscope or accelerometer if one is slower [s]."""
-    steps = [float(np.median(np.diff(log.channels[name].t))) for name in (*GYROSCOPE, *ACCELEROMETER)]
-    return max(steps)
+def sensor_step(log: JointLog, config: Config) -> float:
+    """Sample time of the slowest sensor whose values a configuration takes at every sample [s]; 0 without any.
+
+    The orientation changes slowly, and flags jump.
+    """
+    slow = {*ORIENTATION, *(contact.flag for contact in config.contacts)}
+    names = [name for name in needed_channels(config) if name not in slow]
+    return max((float(np.median(np.diff(log.channels[name].t))) for name in names), default=0.0)
 
 
 class BaseSensors:

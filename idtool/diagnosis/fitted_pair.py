@@ -150,7 +150,7 @@ class FittedPair:
     def mean_squared_errors(self, changed: Collection[TermKey]) -> Array:
         """Mean squared torque error of `changed_simulator` on the robot's logs, shape (nv,) [(N·m)² or N²]."""
         errors = self._torque_errors(*self.changed_simulator(changed))
-        return np.asarray(errors.sum_squares_in_band / max(errors.samples, 1))
+        return errors.mean_squares_in_band
 
     def gap_level(self, changed: Collection[TermKey], simulate: bool) -> GapLevel:
         """Errors of `changed_simulator` on the robot's logs."""

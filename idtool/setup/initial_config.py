@@ -87,7 +87,7 @@ def _make_draft(
 ) -> Draft:
     """Collect everything that the sections are written from."""
     config = parse_config(given, str(source))
-    config.require_fixed_base("init")
+    config.require_only_joints("init")
     summary = summarize_logs(robot, logs, config, progress)
     progress("reading geometry", 0.0)
     locked = {name: lock.position for name, lock in summary.locked.items()} | config.locked_joints

@@ -102,6 +102,7 @@ def test_joints_in_the_air_are_simulated_with_the_measured_motion_of_the_base(fo
         ("excite", lambda model, log, folder: idtool.excite(model)),
         ("study", lambda model, log, folder: idtool.study(model, log)),
         ("adapt", lambda model, log, folder: idtool.adapt(model, log)),
+        ("diagnose --against", lambda model, log, folder: idtool.diagnose(model, log, against=folder / "stand.csv")),
     ],
 )
 def test_commands_for_a_fixed_base_say_so(folder: Path, command: str, call: Callable[..., Any]) -> None:
@@ -209,3 +210,21 @@ def test_short_log_is_refused_in_one_line(folder: Path, tmp_path: Path) -> None:
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
     with pytest.raises(LogError, match="long"):
         idtool.fit(model, tmp_path / "log.csv", quick=True)
+
+
+def test_tilt_of_gravity_is_for_a_fixed_base(folder: Path) -> None:
+    tilt = {"effect": "gravity_tilt", "parameters": {"gravity": [1.0, 0.0, -9.7]}}
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown", effects=[tilt]))
+    with pytest.raises(ConfigError, match="gravity_tilt: needs a fixed base"):
+        idtool.validate(model, folder / "hang.csv")
+
+
+def test_gravity_of_the_configuration_is_not_used(folder: Path) -> None:
+    """Neither to detect contacts."""
+    config = settings("unknown")
+    for contact in config["contacts"]:
+        if contact["name"] != "rope":
+            contact["flag"] = "auto"
+    expected = idtool.validate(idtool.Model(folder / "prior.urdf", config=config), folder / "hang.csv")
+    model = idtool.Model(folder / "prior.urdf", config={**config, "gravity": [0.0, 0.0, 0.0]})
+    assert idtool.validate(model, folder / "hang.csv").rms.model == expected.rms.model

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sensor_arm import COULOMB, JOINTS, LINKS, SENSOR, urdf_text, write_log
+from sensor_arm import CHANNELS, COULOMB, JOINTS, LINKS, SENSOR, urdf_text, write_log
 
 import idtool
 from idtool.common.exceptions import ConfigError, LogError
@@ -102,6 +102,33 @@ def test_joints_without_torque_are_left_out(folder: Path) -> None:
     assert "torque_unknown" in [notice.code for notice in result.notices]
 
 
+def test_error_of_a_joint_is_of_the_logs_with_its_torque(folder: Path) -> None:
+    model = idtool.Model(folder / "prior.urdf", config=settings())
+    alone = idtool.validate(model, folder / "arm.csv", simulation=False)
+    both = idtool.validate(model, [folder / "without_torque.csv", folder / "arm.csv"], simulation=False)
+    for name in JOINTS:
+        assert both.rms.model[name] == pytest.approx(alone.rms.model[name])
+        assert both.nrms[name] == pytest.approx(alone.nrms[name])
+
+
+def test_delay_of_a_controller_is_fitted_beside_a_sensor(folder: Path) -> None:
+    """The torque of the log, as the command of a controller."""
+    log = (folder / "arm.csv").read_text().splitlines()
+    names = log[0].split(",")
+    table = np.loadtxt(log[1:], delimiter=",")
+    for joint in JOINTS:
+        table[:, names.index(f"tau_{joint}")] += table[:, names.index(f"q_{joint}")]  # by a gain of 1 N m/rad
+    header = log[0].replace("tau_", "qcmd_")
+    np.savetxt(folder / "commands.csv", table, fmt="%.9g", delimiter=",", header=header, comments="")
+    controller = {"kp": dict.fromkeys(JOINTS, 1.0)}
+    model = idtool.Model(folder / "prior.urdf", config={**settings(), "controller": controller})
+    result = idtool.fit(model, folder / "commands.csv", quick=True)
+    carried = result.bodies["upper"].mass + result.bodies["hand"].mass
+    assert carried == pytest.approx(TRUE_MASS["upper"] + TRUE_MASS["hand"], rel=0.015)
+    assert result.controller is not None
+    assert result.controller.delay == pytest.approx(0.0, abs=1e-3)
+
+
 def test_diagnosis_names_friction_beside_a_sensor(folder: Path) -> None:
     """Coulomb friction of one joint that the model lacks, and nothing on the rows of the sensor."""
     friction = {name: {"viscous": True, "coulomb": name != "lift"} for name in JOINTS}
@@ -127,6 +154,41 @@ def test_sensor_at_a_wrong_place_is_refused(folder: Path, sensor: dict[str, Any]
         idtool.validate(model, folder / "arm.csv")
 
 
+def with_readings(folder: Path, tmp_path: Path, first: int, step: int, reading: str) -> Path:
+    """A log with another reading of the sensor in some samples."""
+    header, *lines = [line.split(",") for line in (folder / "arm.csv").read_text().splitlines()]
+    of_sensor = [header.index(name) for name in CHANNELS]
+    for line in lines[first::step]:
+        for column in of_sensor:
+            line[column] = reading
+    (tmp_path / "log.csv").write_text("\n".join(",".join(line) for line in [header, *lines]))
+    return tmp_path / "log.csv"
+
+
+def test_band_is_that_of_a_slow_sensor(folder: Path, tmp_path: Path) -> None:
+    """A fifth of its rate, as that of the joints."""
+    log = with_readings(folder, tmp_path, 1, 2, "")
+    text = log.read_text().splitlines()
+    log.write_text("\n".join([text[0], *text[1::5]]))  # joints at 200 Hz, the sensor at 100 Hz
+    model = idtool.Model(folder / "arm.urdf", config=settings())
+    assert idtool.validate(model, log, simulation=False).band_hz == pytest.approx(20)
+
+
+def test_reading_that_no_sensor_gives_is_refused(folder: Path, tmp_path: Path) -> None:
+    log = with_readings(folder, tmp_path, 3000, 10000, "1e200")
+    model = idtool.Model(folder / "arm.urdf", config=settings())
+    with pytest.raises(LogError, match="channel force_upper_ft_x reaches 1e"):
+        idtool.validate(model, log)
+
+
+def test_sensor_whose_reading_never_changes_is_refused(folder: Path, tmp_path: Path) -> None:
+    """It would be taken for bodies without mass."""
+    log = with_readings(folder, tmp_path, 0, 1, "0")
+    model = idtool.Model(folder / "arm.urdf", config=settings())
+    with pytest.raises(LogError, match="the wrench sensor at upper_ft reads the same all the time"):
+        idtool.fit(model, log, quick=True)
+
+
 def test_missing_channel_is_named(folder: Path) -> None:
     model = idtool.Model(folder / "arm.urdf", config=settings(topic="/ft"))
     with pytest.raises(LogError, match="has no channel force_ft_x"):
@@ -137,3 +199,25 @@ def test_commands_that_need_joints_alone_refuse_a_sensor(folder: Path) -> None:
     model = idtool.Model(folder / "arm.urdf", config=settings())
     with pytest.raises(ConfigError, match="wrench_sensors"):
         idtool.simulate(model, folder / "arm.csv")
+    with pytest.raises(ConfigError, match=r"wrench_sensors: are for .* idtool diagnose --against"):
+        idtool.diagnose(model, folder / "arm.csv", against=folder / "without_torque.csv")
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        (
+            {"wrench_sensors": [{"joint": SENSOR, "offset": [1, 2, 3]}]},
+            r"offset: \[1, 2, 3\] is not an offset",
+        ),
+        (
+            {"wrench_sensors": [{"joint": SENSOR, "offset": 6 * ["x"]}]},
+            "give fit, none, or six numbers",
+        ),
+        ({"base": {"imu": {"delay": 2}}}, "delay: 2 is not a delay; give auto, or a number in s of at most 1"),
+        ({"contacts": 2 * [{"name": "Foot", "link": "hand"}]}, "contacts: Foot is listed twice"),
+    ],
+)
+def test_value_that_does_not_fit_is_named(folder: Path, config: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        idtool.validate(idtool.Model(folder / "arm.urdf", config=config), folder / "arm.csv")

@@ -52,6 +52,10 @@ class GravityTilt(FixedEffect):
         if entry.joint is not None or entry.link is not None:
             raise ConfigError(entry_location(entry), "acts on the whole robot; give neither joint nor link")
         check_parameter_names(entry, ("gravity",))
+        if model.has_floating_base:
+            raise ConfigError(
+                entry_location(entry), "needs a fixed base; the accelerometer of a floating one shows gravity"
+            )
         return cls(model, read_vector(entry, "gravity", 3))
 
     @classmethod

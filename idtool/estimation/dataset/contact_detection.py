@@ -19,6 +19,7 @@ from idtool.common.notice import Notice
 from idtool.data.base_sensors import BaseSensors
 from idtool.data.logs.log import Channel, JointLog
 from idtool.data.signals import Batch, Signals
+from idtool.data.wrench_channels import WrenchChannels
 from idtool.dynamics.contact_model import ContactModel
 from idtool.robot.config import Config, Contact
 from idtool.robot.inverse_dynamics import inverse_dynamics
@@ -30,6 +31,7 @@ _MAX_UNFLAGGED_SHARE = 0.02  # of the time, for such a load
 _MAX_UNLOADED_SHARE = 0.3  # of the time, for a flag that is always set while the leg carries no load
 _MIN_ALWAYS_SHARE = 0.98  # of the time, from which a flag is always set
 _MIN_LEG_JOINTS = 3  # that determine the force on a foot
+_GRAVITY = 9.81  # m/s²
 _MIN_GRAM = 1e-9  # m², added to J Jᵀ, which is singular for a straight leg
 
 
@@ -110,7 +112,9 @@ def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[
     """
     always_unknown = tuple(foot.with_unknown_wrench().model_copy(update={"flag": None}) for foot in feet)
     settings = config.model_copy(update={"contacts": always_unknown})
-    signals = Signals(log, model.joint_names, settings, BaseSensors.of_log(log, model, settings))
+    base_sensors = BaseSensors.of_log(log, model, settings)
+    wrench_channels = WrenchChannels.of_log(log, model, settings)
+    signals = Signals(log, model.joint_names, settings, base_sensors, wrench_channels)
     contact_model = ContactModel(model, always_unknown, noise=np.ones(len(model.joints)))
     times = []
     forces = []
@@ -119,7 +123,7 @@ def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[
         forces.append(_foot_forces(batch, model, contact_model))
     if not times:  # too short for the filter, which the fit says; then all feet count as loaded
         return FootLoads(tuple(feet), np.array([log.start]), np.ones((len(feet), 1)))
-    weight = float(np.linalg.norm(config.gravity)) * model.mass
+    weight = _GRAVITY * model.mass
     return FootLoads(tuple(feet), np.concatenate(times), np.concatenate(forces, axis=1) / weight)
 
 

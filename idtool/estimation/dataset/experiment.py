@@ -13,7 +13,7 @@ from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.data.base_sensors import BaseSensors, imu_step, needed_channels, sensor_options
+from idtool.data.base_sensors import BaseSensors, needed_channels, sensor_options, sensor_step
 from idtool.data.controller import with_unknown_torque, without_constant_torque
 from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.logs import JointLog, read_log
@@ -323,6 +323,7 @@ def prepare(
     model = build_model(robot, config, common)
     for log in every:
         _check_signals(log, model.joint_names)
+        _check_wrenches(log, config)
     if model.has_floating_base:
         _check_detected_contacts(model, config)
         fitted = [with_detected_contacts(log, model, config) for log in fitted]
@@ -335,9 +336,7 @@ def prepare(
     )
     equalities = equality_constraints(config, model, equation)
     if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
-        band = min(default_cutoff(log.dt) for log in every)
-        if model.has_floating_base:
-            band = min(band, *(default_cutoff(imu_step(log)) for log in every))
+        band = min(default_cutoff(max(log.dt, sensor_step(log, config))) for log in every)
         config = config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": band})})
     runs = [_split(signals_of(log, model, config), 0.0 if validate else holdout) for log in fitted]
     runs += [_split(signals_of(log, model, config), 1.0) for log in validated]
@@ -404,7 +403,7 @@ def _read(log: Path | JointLog, config: Config) -> JointLog:
 
 
 def _check_signals(log: JointLog, joints: Sequence[str]) -> None:
-    """Refuse a log in which a joint of the model has no position, or a value that no sensor gives."""
+    """Refuse a log in which a joint of the model has no position, or that has a value that no sensor gives."""
     for name in joints:
         if not log.has("q", name):
             raise LogError(log.path, f"joint {name} has no position; log it, or leave it out of joints")
@@ -414,6 +413,18 @@ def _check_signals(log: JointLog, joints: Sequence[str]) -> None:
             largest = max(np.max(column, where=finite, initial=0.0), -np.min(column, where=finite, initial=0.0))
             if largest > _LARGEST:
                 raise LogError(log.path, f"{signal} of joint {name} reaches {largest:.1g}; remove invalid readings")
+    for name, channel in log.channels.items():
+        peak = float(np.abs(channel.x).max(initial=0.0))
+        if peak > _LARGEST:
+            raise LogError(log.path, f"channel {printable(name)} reaches {peak:.1g}; remove invalid readings")
+
+
+def _check_wrenches(log: JointLog, config: Config) -> None:
+    """Refuse a log in which a wrench sensor is dead."""
+    for sensor in config.wrench_sensors:
+        if not any(np.ptp(log.channels[name].x) for name in sensor.logged_channels):
+            what = f"the wrench sensor at {sensor.joint} reads the same all the time; log it, or remove it"
+            raise LogError(log.path, what)
 
 
 def _split(signals: Signals, share: float) -> Run:

@@ -11,12 +11,12 @@ from idtool.common.arrays import Array
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Factor, Reduction
-from idtool.robot.model import RobotModel
+from idtool.robot.model import WRENCH_SIZE, RobotModel
 
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
 _WEIGHINGS = 2  # of the joints by their noise
 _GUESSED_SHARE = 0.02  # of a joint's torque, or of the weight: first guess of the noise
-_GUESSED_ARM = 0.1  # m, at which the noise of a base's force acts
+_GUESSED_ARM = 0.1  # m, at which the noise of a force acts
 _GRAVITY = 9.81  # m/s²
 _LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can handle
 
@@ -89,4 +89,5 @@ def initial_row_noise(model: RobotModel, torque: Array) -> Array:
     force = _GUESSED_SHARE * weight
     typical = float(np.median(torque)) or 1.0
     joints = _GUESSED_SHARE * np.maximum(torque, 0.1 * typical)
-    return np.concatenate([joints, np.full(3, force), np.full(3, force * _GUESSED_ARM)])
+    wrench = np.concatenate([np.full(3, force), np.full(3, force * _GUESSED_ARM)])
+    return np.concatenate([joints, np.tile(wrench, (len(model.joints) - model.joint_count) // WRENCH_SIZE)])

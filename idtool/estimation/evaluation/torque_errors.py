@@ -26,6 +26,8 @@ class Errors:
     ----------
     samples
         Number of samples.
+    known_samples
+        Number of samples at which each joint's torque is known, shape (nv,).
     sum_squares_in_band, sum_squares_as_logged
         Sums of squared errors, shape (nv,) [(N·m)² or N²].
     sum_squares_by_second
@@ -33,6 +35,7 @@ class Errors:
     """
 
     samples: int
+    known_samples: Array
     sum_squares_in_band: Array
     sum_squares_as_logged: Array
     sum_squares_by_second: Array
@@ -40,14 +43,21 @@ class Errors:
     @staticmethod
     def none(joint_count: int, seconds: int) -> Errors:
         """Errors of no samples, of logs with samples of a number of seconds."""
-        return Errors(0, np.zeros(joint_count), np.zeros(joint_count), np.zeros(seconds))
+        zero = np.zeros(joint_count)
+        return Errors(0, zero.copy(), zero.copy(), zero.copy(), np.zeros(seconds))
+
+    @property
+    def mean_squares_in_band(self) -> Array:
+        """Mean squared error of each joint in the band, shape (nv,) [(N·m)² or N²]; 0 if its torque is not known."""
+        return self.sum_squares_in_band / np.maximum(self.known_samples, 1)
 
     def rms(self, joints: Sequence[str], raw: bool = False) -> dict[str, float]:
-        """RMS error of each joint, and of all joints and samples as ``overall`` [N·m or N].
+        """RMS error of each joint, and of all joints as ``overall`` [N·m or N].
 
         ``raw``: against the torque as logged, else in the band.
         """
-        squares = (self.sum_squares_as_logged if raw else self.sum_squares_in_band) / max(self.samples, 1)
+        sums = self.sum_squares_as_logged if raw else self.sum_squares_in_band
+        squares = sums / np.maximum(self.known_samples, 1)
         return {
             **{name: float(value) for name, value in zip(joints, np.sqrt(squares), strict=True)},
             "overall": float(np.sqrt(squares.mean())),
@@ -99,7 +109,8 @@ def evaluate(
     errors = {name: Errors.none(len(joints), seconds) for name in models}
     second = 0  # the first of a log
     torque_sums = np.zeros((2, len(joints)))  # of the measured torque and of its square
-    samples, stride = 0, 1
+    known_samples = np.zeros(len(joints))
+    stride = 1
     traces, correlations = [], Correlations()
     for run in experiment.runs:
         parts = run.parts(held_out)
@@ -115,14 +126,17 @@ def evaluate(
             numbers = samples_of_log + np.arange(measured.shape[1])
             seconds_of_samples = second + (numbers * log.dt).astype(int)
             samples_of_log += measured.shape[1]
+            known = np.full(len(joints), measured.shape[1])
+            known[list(batch.motion.unknown_torque)] = 0
+            known_samples += known
             for name, torque in predicted.items():
                 squares = np.square(torque - measured)
                 errors[name].samples += torque.shape[1]
+                errors[name].known_samples += known
                 errors[name].sum_squares_in_band += squares.sum(axis=1)
                 np.add.at(errors[name].sum_squares_by_second, seconds_of_samples, squares.sum(axis=0))
                 errors[name].sum_squares_as_logged += np.square(torque - batch.motion.logged_tau[:, inner]).sum(axis=1)
             torque_sums += measured.sum(axis=1), np.square(measured).sum(axis=1)
-            samples += measured.shape[1]
             residual = measured - next(iter(predicted.values()))
             correlations.add(residual, measured, stride, log.dt)
             curves = {"measured": measured, "residual": residual, **predicted}
@@ -130,7 +144,7 @@ def evaluate(
             envelope.add(t, {**curves, "q": batch.motion.q[:, inner]} if angles else curves)
         traces.append(envelope.trace(log.path.name))
         second += _seconds(run, held_out)
-    mean, square = torque_sums / max(samples, 1)
+    mean, square = torque_sums / np.maximum(known_samples, 1)
     torque_std = np.sqrt(np.maximum(square - mean**2, 0))
     independent = correlations.independent(stride)
     return Evaluation(

@@ -142,7 +142,7 @@ def _fix_joint(text: bytes, element: Element, joint: UrdfJoint, value: float) ->
 def _transmission_values(identified: IdentifiedModel, rotors: tuple[Rotor, ...]) -> dict[str, tuple[float, float]]:
     """Rotor inertia [kg·m²] and gear ratio by joint; inertia times ratio² is all that reflects there."""
     gears = {}
-    for j, name in enumerate(identified.model.names):
+    for j, name in enumerate(identified.model.joint_names):
         total = 0.0
         largest = -np.inf
         ratio = 1.0  # that of the rotor with the largest reflected inertia

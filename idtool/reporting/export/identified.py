@@ -24,6 +24,7 @@ from idtool.robot.urdf.reading import Robot, UrdfJoint, read_robot
 
 URDF, CONFIG = "identified.urdf", "model.yaml"
 NO_EQUIVALENT = "the simulator does not support it"
+OF_SENSORS = "it belongs to the sensors, not to the robot"
 
 
 @dataclass(frozen=True)
@@ -178,6 +179,9 @@ class _EffectsByForm:
         mechanism = mechanism_of(effect, self.model)
         owner = next((name for name in effect.key[1:] if isinstance(name, str) and name), "robot")
         amount = self._amount(effect, theta)
+        if owner in self.model.names and owner not in self.model.joint_names:  # a coordinate of a wrench sensor
+            self.others.append(Part(effect.id, owner, OF_SENSORS, *amount))
+            return
         if any(value for _, value in (*mechanism.smooth_terms, *mechanism.dry_friction_terms)):
             self.terms.append(EffectTorque(effect.id, owner, effect.simulator_elements(theta), amount))
         if mechanism.pi.any() or mechanism.model.bodies is not self.model.bodies:
@@ -190,7 +194,7 @@ class _EffectsByForm:
             self.offsets.append(Part(effect.id, owner, "ref of the joint", *amount))
         has_hysteresis = any(value for _, value in mechanism.hysteresis_terms)
         if mechanism.torque_sensors or mechanism.torque_delay.any():
-            self.others.append(Part(effect.id, owner, "it belongs to the sensors, not to the robot", *amount))
+            self.others.append(Part(effect.id, owner, OF_SENSORS, *amount))
         elif mechanism.transmissions or mechanism.extra_torques or has_hysteresis:
             self.others.append(Part(effect.id, owner, NO_EQUIVALENT, *amount))
 

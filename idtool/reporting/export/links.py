@@ -44,7 +44,8 @@ def add_links(scene: Scene, world: etree._Element) -> None:
         _add_body(scene, joint)
         if link in scene.moving:
             scene.add_inertial(link, scene.pi[scene.moving[link]], moves=True)
-            _add_joint(scene, joint)
+            if joint.kind != "fixed":  # else it carries a wrench sensor
+                _add_joint(scene, joint)
         elif link not in lumped and link not in scene.identified.config.rotors:  # it is fixed to the root
             scene.add_inertial(link, scene.urdf_parameters(link), moves=False)
         _add_geoms(scene, link, geoms)

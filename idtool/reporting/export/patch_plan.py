@@ -111,7 +111,7 @@ class PatchPlan:
 
     def __post_init__(self) -> None:
         self.gravity = self.identified.gravity
-        self.forces = ForcesByJoint(self.identified.model.names)
+        self.forces = ForcesByJoint(self.identified.model.joint_names)
         for j, forces in enumerate(self.forces.values()):
             forces.armature = float(self.identified.mechanism.armature[j])
 

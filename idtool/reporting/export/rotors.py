@@ -117,6 +117,8 @@ def averaged_rotors(identified: IdentifiedModel) -> tuple[Rotor, ...]:
                 raise unrealizable_error(identified.robot, f"rotor {body.name}")
             turning = np.zeros((len(q), _POSES))
             turning[jacobian.coordinates] = np.tensordot(body.axis, jacobian.S_w, axes=1)
+            for sensor in range(len(model.wrench_sensors)):
+                turning[model.sensor_coordinates(sensor)] = 0.0  # at which nothing moves
             rotor = _average_rotor(body, pi, turning - body.ratios[:, None])
             if model.has_floating_base:  # which turns every carrier, and has no coordinate that a tendon could name
                 rotor = replace(rotor, carrier=None)

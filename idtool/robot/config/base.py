@@ -61,8 +61,9 @@ def validate_record(record: type[R], data: Any, where: str) -> R:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"] if part not in _TAGS)
-        message = first["msg"].removeprefix("Value error, ")
-        message = message.split(" or instance of ")[0]
+        if first["type"] == "value_error":  # in our own words, which may begin with a name
+            raise ConfigError(f"{where}: {key}" if key else where, first["msg"].removeprefix("Value error, ")) from None
+        message = first["msg"].split(" or instance of ")[0]
         message = message.replace("valid tuple", "list").replace("valid dictionary", "mapping of keys to values")
         message = message[0].lower() + message[1:]
         raise ConfigError(f"{where}: {key}" if key else where, message) from None

@@ -15,8 +15,9 @@ Delay = Annotated[float, Field(ge=-_MAX_DELAY, le=_MAX_DELAY, allow_inf_nan=Fals
 
 
 def _delay(data: object) -> object:
-    if isinstance(data, str) and data != "auto":
-        raise ValueError(f"{data} is not a delay; give auto, or a number in s")
+    is_number = isinstance(data, int | float) and abs(data) <= _MAX_DELAY
+    if data != "auto" and not is_number:
+        raise ValueError(f"{data} is not a delay; give auto, or a number in s of at most {_MAX_DELAY:g}")
     return data
 
 

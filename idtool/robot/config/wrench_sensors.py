@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
@@ -11,10 +12,16 @@ from idtool.robot.config.base import ConfigRecord, Finite
 Wrench = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
 
 _AXES = ("x", "y", "z")
+_WRENCH_SIZE = 6
+
+
+def _is_finite(number: object) -> bool:
+    return isinstance(number, int | float) and math.isfinite(number)
 
 
 def _offset(data: object) -> object:
-    if isinstance(data, str) and data not in ("fit", "none"):
+    is_wrench = isinstance(data, list | tuple) and len(data) == _WRENCH_SIZE and all(map(_is_finite, data))
+    if not is_wrench and data not in ("fit", "none"):
         raise ValueError(f"{data} is not an offset; give fit, none, or six numbers in N and N·m")
     return data
 
