@@ -118,7 +118,8 @@ class JointTerm(JointEffect):
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
-        mechanism.smooth_terms.append((self, float(theta[0])))
+        if self.joint < mechanism.model.joint_count:  # else it is the offset of a wrench sensor
+            mechanism.smooth_terms.append((self, float(theta[0])))
 
     @abstractmethod
     def column(self, motion: Motion) -> Array:
