@@ -20,7 +20,7 @@ from idtool.common.names import join_names, printable, suggestion
 from idtool.data.logs.definitions import Definitions
 from idtool.data.logs.log import Channel
 from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, RecordBatch
-from idtool.data.logs.message_options import MessageOptions, find_field_source
+from idtool.data.logs.message_options import FieldSource, MessageOptions, find_field_source
 from idtool.data.logs.payloads import sensor_decoder_for
 from idtool.data.logs.payloads.base import Decoder, FieldError, PayloadError
 from idtool.data.logs.payloads.sensor_types import SENSOR_TYPES
@@ -61,11 +61,13 @@ class SensorTopics:
         self._definitions = Definitions(path)
         self._by_channel: dict[int, _Topic] = {}
         self._topics: dict[str, _Topic] = {}
+        self._sources: dict[tuple[str, int], FieldSource | None] = {}  # by encoding and schema, which channels share
 
     def begin_file(self, file: Path) -> None:
         """Start the next file, in which channels have other ids."""
         self._definitions = Definitions(file)
         self._by_channel = {}
+        self._sources = {}
 
     def read(self, batch: RecordBatch) -> None:
         """Decode the messages of a batch that are of sensors.
@@ -133,13 +135,19 @@ class SensorTopics:
         if decoder is not None:
             names = SENSOR_TYPES[type_name].channels(_channel_name(definition.topic))
             return _Topic(type_name, names, decoder)
-        try:
-            source = find_field_source(definition.message_encoding, schema, self._options)
-        except FieldError:  # if it is the topic of the states, it is an error there
-            return None
+        key = (definition.message_encoding, schema.id)
+        if key not in self._sources:
+            self._sources[key] = self._find_source(definition.message_encoding, schema)
+        source = self._sources[key]
         if source is None or source.decoders.sensors is None:
             return None
         return _Topic(type_name, source.decoders.channels, source.decoders.sensors, is_addressed=True)
+
+    def _find_source(self, encoding: str, schema: Schema) -> FieldSource | None:
+        try:
+            return find_field_source(encoding, schema, self._options)
+        except FieldError:  # if it is of the topic of the states, it is raised there
+            return None
 
     def _decode(self, topic: _Topic, batch: RecordBatch, index: Indices) -> None:
         """Add the messages of a batch at ``index``; those without a stamp get their log time."""

@@ -224,9 +224,9 @@ class TopicReader:
         if name not in self._topics:
             return f"has no topic {name}; {suggestion(name, self.names or list(self._topics))}"
         topic = self._topics[name]
-        if topic.field_error is not None:
-            return f"topic {name}: {topic.field_error}"
         if not topic.has_joint_states:
+            if topic.field_error is not None:
+                return f"topic {name}: {topic.field_error}"
             return f"topic {name} carries {topic.message_type}, not joint states; {suggestion(name, self.names)}"
         return f"topic {name} has no messages"
 
@@ -258,10 +258,11 @@ class TopicReader:
                 topic.samples.begin_part()
             self._topics[channel.topic] = topic
         topic = self._topics[channel.topic]
-        topic.has_joint_states |= found.decode is not None
-        topic.is_fallback = found.is_fallback
-        topic.preset = found.preset
-        topic.field_error = found.error
+        topic.field_error = topic.field_error or found.error
+        if found.decode is not None:
+            topic.has_joint_states = True
+            topic.is_fallback = found.is_fallback
+            topic.preset = found.preset
         self._channels[channel.id] = (channel.topic, found.decode)
 
     def _state_decoder(self, encoding: str, schema: Schema | None) -> _StateDecoder:
