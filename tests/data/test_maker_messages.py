@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from maker_messages import (
     DEFINITIONS,
+    GO,
+    GO_JOINTS,
     JOINT_STATE,
     SEPARATOR,
     Message,
@@ -32,11 +34,9 @@ from idtool.data.logs.sensor_channels import SensorOptions, finite_samples
 from idtool.robot.message_fields import KNOWN_MESSAGES, PRESETS, parse_field
 
 Array = np.ndarray
-GO = "unitree_go/msg/LowState"
 HG = "unitree_hg/msg/LowState"
 READINGS = "series_elastic_actuator_msgs/msg/SeActuatorReadings"
 ROBOT_STATE = "franka_msgs/msg/FrankaRobotState"
-GO_JOINTS = tuple(f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "thigh", "calf"))
 COUNT = 40
 TIMES = [10**18 + 2_000_000 * i for i in range(COUNT)]
 SIX_FIELDS = {"q": "motor_state[{i}].q", "v": "motor_state[{i}].dq", "tau": "motor_state[{i}].tau_est"}

@@ -11,7 +11,7 @@ import pytest
 from commands import JOINTS, LEG
 from ground.logs import config_text, record
 from ground.robot import prior_quadruped, true_quadruped, urdf_text
-from maker_messages import Message, Topic, encoded, write_topics
+from maker_messages import GO_JOINTS, GO_LEGS, low_state_topic, write_topics
 from paths import SAMPLES
 
 import idtool
@@ -19,32 +19,14 @@ from idtool.common.exceptions import LogError
 from idtool.common.safe_yaml import parse_yaml
 
 Array = np.ndarray
-GO = "unitree_go/msg/LowState"
 TRUTH = true_quadruped(0)
-LEGS = ("FR", "FL", "RR", "RL")  # in the order of the maker
-MOTORS = tuple(f"{leg}_{part}_joint" for leg in LEGS for part in ("hip", "thigh", "calf"))
-FLAGS = {f"contact.{leg}_foot": f"foot_force[{i}] > 20" for i, leg in enumerate(LEGS)}
+FLAGS = {f"contact.{leg}_foot": f"foot_force[{i}] > 20" for i, leg in enumerate(GO_LEGS)}
 
 
-def low_states(path: Path, columns: Mapping[str, Array], joints: tuple[str, ...]) -> Path:
-    """Write columns of a table as `unitree_go/LowState`; its numbers are float32."""
-    messages: list[Message] = []
-    for i in range(len(columns["t"])):
-        row = {name: float(x[i]) for name, x in columns.items()}
-        motors = [{"q": row[f"q_{name}"], "dq": row[f"v_{name}"], "tau_est": row[f"tau_{name}"]} for name in joints]
-        message: Message = {"motor_state": motors, "tick": i}
-        if "imu_wx" in row:
-            message["imu_state"] = {
-                "quaternion": [row[f"imu_q{part}"] for part in "wxyz"],
-                "gyroscope": [row[f"imu_w{axis}"] for axis in "xyz"],
-                "accelerometer": [row[f"imu_a{axis}"] for axis in "xyz"],
-            }
-            message["foot_force"] = [
-                int(90 * row[f"contact_{foot}"]) for foot in ("FR_foot", "FL_foot", "RR_foot", "RL_foot")
-            ]
-            message["bit_flag"] = int(row["contact_rope"])
-        messages.append(message)
-    return write_topics(path, [Topic(GO, encoded(GO, messages))], np.rint(columns["t"] * 1e9).astype(int).tolist())
+def write_low_states(path: Path, columns: Mapping[str, Array], joints: tuple[str, ...]) -> Path:
+    """Write columns of a table as `unitree_go/LowState` with their times as log times."""
+    times = np.rint(columns["t"] * 1e9).astype(int).tolist()
+    return write_topics(path, [low_state_topic(columns, joints)], times)
 
 
 def in_order(columns: Mapping[str, Array], joints: tuple[str, ...]) -> dict[str, Array]:
@@ -79,7 +61,7 @@ def test_leg_with_listed_joints(tmp_path: Path) -> None:
             columns[f"{signal}_{joint}"] = getattr(log, signal)[rows, j]
     columns = in_order(columns, log.joints)
     table = write_table(tmp_path / "leg.csv", columns)
-    path = low_states(tmp_path / "leg.mcap", columns, log.joints)
+    path = write_low_states(tmp_path / "leg.mcap", columns, log.joints)
 
     config = parse_yaml(LEG.with_suffix(".yaml"), LEG.with_suffix(".yaml").read_bytes())
     expected = idtool.fit(idtool.Model(LEG, config=config), table, quick=True)
@@ -94,9 +76,9 @@ def test_leg_with_listed_joints(tmp_path: Path) -> None:
 
 def test_quadruped_with_its_imu_and_feet(tmp_path: Path) -> None:
     """A robot with the maker's names needs neither a preset nor a list; thresholds of its feet make flags."""
-    columns = in_order(record(TRUTH, "stand", seconds=4.0, seed=0).columns, MOTORS)
+    columns = in_order(record(TRUTH, "stand", seconds=4.0, seed=0).columns, GO_JOINTS)
     table = write_table(tmp_path / "stand.csv", columns)
-    path = low_states(tmp_path / "stand.mcap", columns, MOTORS)
+    path = write_low_states(tmp_path / "stand.mcap", columns, GO_JOINTS)
     urdf = tmp_path / "go.urdf"
     urdf.write_text(urdf_text(prior_quadruped(TRUTH, 0)))
     config = dict(parse_yaml(Path("quadruped.yaml"), config_text(TRUTH, are_forces_measured=False).encode()))
@@ -105,10 +87,10 @@ def test_quadruped_with_its_imu_and_feet(tmp_path: Path) -> None:
     fields = {**FLAGS, "contact.rope": "bit_flag"}
     model = idtool.Model(urdf, config={**config, "log": {"preset": "unitree_go", "fields": fields}})
     log, same = model.read_log(path).record, idtool.Log(table).record
-    assert log.joints == same.joints == MOTORS
+    assert log.joints == same.joints == GO_JOINTS
     for signal, values in same.signals.items():
         np.testing.assert_array_equal(log.signals[signal], values)
-    for name in set(columns) & set(same.channels) - {f"force_{leg}_foot_{axis}" for leg in LEGS for axis in "xyz"}:
+    for name in set(columns) & set(same.channels) - {f"force_{leg}_foot_{axis}" for leg in GO_LEGS for axis in "xyz"}:
         np.testing.assert_array_equal(log.channels[name].x, same.channels[name].x)
         np.testing.assert_allclose(log.channels[name].t, same.channels[name].t, rtol=0, atol=1e-12)
     result = idtool.fit(model, path, quick=True)
@@ -117,7 +99,7 @@ def test_quadruped_with_its_imu_and_feet(tmp_path: Path) -> None:
     assert expected.whole_robot is not None
     assert result.whole_robot.mass == pytest.approx(expected.whole_robot.mass, rel=1e-7)
 
-    feet = config["contacts"][: len(LEGS)]
+    feet = config["contacts"][: len(GO_LEGS)]
     always_closed = [{key: value for key, value in foot.items() if key != "flag"} for foot in feet]
     recognized = idtool.fit(idtool.Model(urdf, config={**config, "contacts": always_closed}), path, quick=True)
     assert "preset_assumed" in [notice.code for notice in recognized.notices]

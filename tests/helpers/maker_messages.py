@@ -18,7 +18,12 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.writer import Writer as Ros2Writer
 
+Array = np.ndarray
 Message = dict[str, Any]
+
+GO = "unitree_go/msg/LowState"
+GO_LEGS = ("FR", "FL", "RR", "RL")  # in the order of the maker
+GO_JOINTS = tuple(f"{leg}_{part}_joint" for leg in GO_LEGS for part in ("hip", "thigh", "calf"))
 
 SEPARATOR = "=" * 80
 HEADER = """\
@@ -267,6 +272,8 @@ class Topic:
         The definition in the file; None: that in `DEFINITIONS`.
     encoding
         The language of the definition.
+    every
+        Only one of so many messages is written.
     """
 
     type_name: str
@@ -274,6 +281,7 @@ class Topic:
     name: str = "/lowstate"
     text: str | None = None
     encoding: str = "ros2msg"
+    every: int = 1
 
 
 def encoded(type_name: str, messages: Sequence[Message], text: str | None = None) -> list[bytes]:
@@ -299,6 +307,8 @@ def write_topics(path: Path, topics: Sequence[Topic], times: Sequence[int]) -> P
             channels.append(writer.register_channel(topic.name, "cdr", schema))
         for i, time in enumerate(times):
             for channel, topic in zip(channels, topics, strict=True):
+                if i % topic.every:
+                    continue
                 writer.add_message(channel, time, topic.data[i], time, i)
         writer.finish()  # type: ignore[no-untyped-call]
     return path
@@ -348,3 +358,22 @@ def _random(kind: str, types: dict[str, list[tuple[str, str]]], rng: np.random.G
     if base.startswith(("int", "uint")):
         return int(rng.integers(0, 100))
     return {name: _random(inner, types, rng) for inner, name in types[base]}
+
+
+def low_state_topic(columns: Mapping[str, Array], joints: Sequence[str], name: str = "/lowstate") -> Topic:
+    """Columns of a table as `unitree_go/LowState`, whose numbers are float32; flags of the feet as a force of 90."""
+    messages: list[Message] = []
+    for i in range(len(columns["t"])):
+        row = {key: float(x[i]) for key, x in columns.items()}
+        motors = [{"q": row[f"q_{joint}"], "dq": row[f"v_{joint}"], "tau_est": row[f"tau_{joint}"]} for joint in joints]
+        message: Message = {"motor_state": motors, "tick": i}
+        if "imu_wx" in row:
+            message["imu_state"] = {
+                "quaternion": [row[f"imu_q{part}"] for part in "wxyz"],
+                "gyroscope": [row[f"imu_w{axis}"] for axis in "xyz"],
+                "accelerometer": [row[f"imu_a{axis}"] for axis in "xyz"],
+            }
+            message["foot_force"] = [int(90 * row[f"contact_{leg}_foot"]) for leg in GO_LEGS]
+            message["bit_flag"] = int(row["contact_rope"])
+        messages.append(message)
+    return Topic(GO, encoded(GO, messages), name)

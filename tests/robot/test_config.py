@@ -231,7 +231,10 @@ def test_a_slip_in_any_key_names_the_key_that_was_meant(refusal: Refusal, path: 
             "log: {preset: unitree_go, fields: {imu.orientation: a, imu.orientation_wxyz: b}}",
             "log.fields: has the orientation twice; keep imu.orientation (xyzw) or imu.orientation_wxyz",
         ),
-        ("log: {preset: unitree_go, fields: {imu.gyr: a}}", "log.fields: imu.gyr: unknown field; give one of q, v, tau"),
+        (
+            "log: {preset: unitree_go, fields: {imu.gyr: a}}",
+            "log.fields: imu.gyr: unknown field; give one of q, v, tau",
+        ),
         ("log: {fields: {q: 3}}", "log.fields.q: input should be a valid string"),
         ("log:", "log: input should be a mapping of keys to values"),
         ("joints: hip", "joints: input should be a list"),
