@@ -49,7 +49,7 @@ class Log:
     imu_topic
         The topic with the IMU, if the file has several.
     preset, fields, field_joints
-        For messages that are no joint states, as in the configuration's section ``log``: a preset such as
+        For messages that are not joint states, as in the configuration's section ``log``: a preset such as
         ``unitree_go``, the path of each field, and the joints in the order of the index ``{i}``.
 
     Raises

@@ -1,4 +1,4 @@
-"""Fields of messages that are no joint states, addressed by path, and the messages of makers whose fields are known.
+"""Fields of messages that are not joint states, addressed by path, and the messages of makers whose fields are known.
 
 A path is the names of nested fields with dots, and the index of an element in brackets, as in ``motor_state[3].q`` or
 ``imu_state.gyroscope``. The index ``{i}`` stands for every joint.

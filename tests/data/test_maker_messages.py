@@ -1,4 +1,4 @@
-"""Logs of makers' robots, whose messages are no joint states, against what mcap_ros2 decodes."""
+"""Logs of makers' robots, whose messages are not joint states, against what mcap_ros2 decodes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from commands import idtool
 from maker_messages import (
     DEFINITIONS,
     GO,
@@ -27,7 +28,8 @@ from mcap_ros2._cdr import CdrWriter, EncapsulationKind
 from mcap_ros2.decoder import DecoderFactory
 from sentences import sentences
 
-from idtool.common.exceptions import LogError
+from idtool.api.log import Log
+from idtool.common.exceptions import ConfigError, LogError
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.message_options import MessageOptions
 from idtool.data.logs.sensor_channels import SensorOptions, finite_samples
@@ -516,3 +518,41 @@ def test_every_known_message_can_be_parsed() -> None:
             assert all(parse_field(key, text).path for key, text in table.items())
     for preset in PRESETS.values():
         assert preset.message in KNOWN_MESSAGES
+    without_names = {kind for kind, tables in KNOWN_MESSAGES.items() if "name" not in tables[0]}
+    assert without_names == {preset.message for preset in PRESETS.values()}
+
+
+def test_log_of_the_library(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.mcap", GO)
+    expected = read(path, preset="unitree_go")
+    log = Log(path, preset="unitree_go", fields={"contact.FL_foot": "foot_force[1] > 50"}, sensors=True)
+    np.testing.assert_array_equal(log.q, expected.signals["q"])
+    assert set(log.record.channels) - set(expected.channels) == {"contact_FL_foot"}
+    listed = Log(path, fields=SIX_FIELDS, field_joints=["hip", None, "knee"])
+    np.testing.assert_array_equal(listed.tau, expected.signals["tau"][:, [0, 2]])
+    with pytest.raises(ConfigError, match=r"Log: preset: go2 is not a preset"):
+        Log(path, preset="go2")
+
+
+def test_inspect_command(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.mcap", GO)
+    assert "FR_hip_joint" in idtool("inspect", path).out
+    config = tmp_path / "config.yaml"
+    config.write_text("log: {preset: unitree_go, fields: {tau: 'motor_state[{i}].tau'}}")
+    refused = idtool("inspect", path, "--config", config)
+    assert refused.code == 2
+    assert refused.err.endswith("log.fields.tau: unitree_go/MotorState has no field tau; did you mean tau_est?\n")
+
+
+def test_definition_is_missing_among_other_topics(tmp_path: Path) -> None:
+    topics = [robot_topic(name="/a"), topic_of(GO, text=""), robot_topic(name="/b")]
+    path = write_topics(tmp_path / "log.mcap", topics, TIMES)
+    for options in ({}, {"preset": "unitree_go"}):
+        with pytest.raises(LogError, match=r"topic /lowstate: the log has no definition of unitree_go/LowState"):
+            read(path, **options)
+
+
+def test_csv_ignores_fields(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("t,q_hip\n0,0\n0.001,1\n0.002,2\n")
+    assert [notice.code for notice in read(path, preset="unitree_go").notices] == ["fields_ignored"]

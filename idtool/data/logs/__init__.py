@@ -91,7 +91,7 @@ def read_log(
     sensors
         How to read the topics of IMU, contacts and wrenches; None: they are not read.
     messages
-        Which fields to read from messages of an MCAP file that are no joint states.
+        Which fields to read from messages of an MCAP file that are not joint states.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""`MessageOptions`: which fields to read from messages that are no joint states."""
+"""`MessageOptions`: which fields to read from messages that are not joint states."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MessageOptions:
-    """Which fields to read from messages that are no joint states.
+    """Which fields to read from messages that are not joint states.
 
-    Without ``preset`` and ``fields``, messages of known types are read if there are no joint states.
+    Without ``preset`` and ``fields``, messages of known types are read if there are not joint states.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ def find_field_source(encoding: str, schema: Schema | None, options: MessageOpti
     preset = options.preset
     tables = KNOWN_MESSAGES.get(type_name, ())
     if preset is not None and PRESETS[preset].message != type_name:
-        raise FieldError(f"is not of type {PRESETS[preset].message}, which preset {preset} is for")
+        raise FieldError(f"its messages are not {PRESETS[preset].message}, which preset {preset} reads")
     if preset is None and options.fields:
         tables = ({},)
     if not tables:
@@ -99,7 +99,8 @@ def find_field_source(encoding: str, schema: Schema | None, options: MessageOpti
         try:
             decoders = field_decoders_for(encoding, schema, MessageFields(entries, joints))
         except FieldError as error:
-            errors.append(error)
+            is_known_type = type_name in KNOWN_MESSAGES
+            errors.append(FieldError(str(error), error.closeness + is_known_type))
         else:
             return FieldSource(decoders, None if options.joints else preset)
     raise max(errors, key=lambda error: error.closeness)
@@ -114,7 +115,8 @@ def _recognized_preset(type_name: str, robot_joints: Collection[str]) -> str:
     first = next(_joint_names(candidates[0]))
     raise FieldError(
         f"{printable(type_name)} has no names of the joints, and the URDF's are not those of {join_names(candidates)} "
-        f"(such as {first}); set log.preset, or list them in log.field_joints in the order of the message"
+        f"(such as {first}); set log.preset, or list them in log.field_joints in the order of the message",
+        closeness=1.0,
     )
 
 

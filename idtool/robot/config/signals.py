@@ -49,8 +49,8 @@ def _joint_list(joints: tuple[str | None, ...]) -> tuple[str | None, ...]:
 class LogOptions(ConfigRecord):
     """Options for reading the logs.
 
-    ``fields`` are the paths of the signals in messages that are no joint states, and ``field_joints`` the joints in the
-    order of their index; null: no joint. ``preset`` names a robot for which both are known.
+    ``fields`` are the paths of the signals in messages that are not joint states, and ``field_joints`` the joints in
+    the order of their index; null: no joint. ``preset`` names a robot for which both are known.
     """
 
     topic: str | None = None
