@@ -17,6 +17,7 @@ from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import printable
 from idtool.common.outputs import as_json, as_yaml
 from idtool.data.logs import read_log
+from idtool.data.logs.message_options import message_options
 from idtool.data.pairing import check_joints, paired_paths
 from idtool.data.same_recording import is_same_recording
 from idtool.diagnosis.records import Diagnosis
@@ -236,9 +237,13 @@ def _simulator_experiment(model: Model, logs: Sequence[LogSource], robot: Experi
     settings = model.settings
     joints = robot.model.names
     options = settings.log
+    messages = message_options(options, model.robot.joints)
     records = []
     for log in logs:
-        record = log.record if isinstance(log, Log) else read_log(log, topic=options.topic, columns=options.columns)
+        if isinstance(log, Log):
+            record = log.record
+        else:
+            record = read_log(log, topic=options.topic, columns=options.columns, messages=messages)
         check_joints(record, joints)
         records.append(record)
     for record, run in zip(records, robot.runs, strict=False):  # the robot's logs for validation have no partner

@@ -20,7 +20,10 @@ from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs import SIGNALS, JointLog, make_log, write_log
 from idtool.data.logs import read_log as read_record
+from idtool.data.logs.message_options import message_options
 from idtool.data.logs.sensor_channels import SensorOptions
+from idtool.robot.config.base import validate_record
+from idtool.robot.config.signals import LogOptions
 
 
 class Log:
@@ -45,11 +48,16 @@ class Log:
         base. A CSV file has them as columns, which are always read.
     imu_topic
         The topic with the IMU, if the file has several.
+    preset, fields, field_joints
+        For messages that are not joint states, as in the configuration's section ``log``: a preset such as
+        ``unitree_go``, the path of each field, and the joints in the order of the index ``{i}``.
 
     Raises
     ------
+    ConfigError
+        If a field or the preset cannot be used.
     LogError
-        If the file cannot be read, or does not contain the topic, columns or joints in the options.
+        If the file cannot be read, or does not contain the topic, columns, fields or joints in the options.
 
     Examples
     --------
@@ -69,9 +77,21 @@ class Log:
         scale: Mapping[str, Mapping[str, float]] | None = None,
         sensors: bool = False,
         imu_topic: str | None = None,
+        preset: str | None = None,
+        fields: Mapping[str, str] | None = None,
+        field_joints: Sequence[str | None] = (),
     ) -> None:
-        options = SensorOptions(imu_topic) if sensors else None
-        record = read_record(path, topic=topic, columns=columns or {}, scale=scale or {}, sensors=options)
+        options = validate_record(
+            LogOptions, {"preset": preset, "fields": fields or {}, "field_joints": tuple(field_joints)}, "Log"
+        )
+        record = read_record(
+            path,
+            topic=topic,
+            columns=columns or {},
+            scale=scale or {},
+            sensors=SensorOptions(imu_topic) if sensors else None,
+            messages=message_options(options),
+        )
         self._set_record(record, as_logged=not (columns or scale))
 
     @classmethod

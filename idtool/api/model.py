@@ -14,6 +14,7 @@ from idtool.common.exceptions import IdtoolError
 from idtool.common.names import join_names, stem
 from idtool.data.base_sensors import sensor_options
 from idtool.data.logs import read_log
+from idtool.data.logs.message_options import message_options
 from idtool.data.robot_source import read_robot_and_logs
 from idtool.dynamics.effects import friction_types
 from idtool.estimation.fit import Fit
@@ -207,6 +208,7 @@ class Model:
             columns=options.columns,
             scale=dict(options.scale),
             sensors=sensor_options(self._config),
+            messages=message_options(options, self._robot.joints),
         )
         return Log.from_record(record)
 

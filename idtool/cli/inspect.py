@@ -39,6 +39,9 @@ def inspect_command(
             scale=dict(options.scale),
             sensors=settings.base.kind == "floating" or bool(settings.wrench_sensors),
             imu_topic=settings.base.imu.topic,
+            preset=options.preset,
+            fields=options.fields,
+            field_joints=options.field_joints,
         )
         progress("inspecting", 0.0)
         result = inspect(record)

@@ -16,6 +16,7 @@ from idtool.common.names import join_names
 from idtool.data.inspection import Inspection, inspect_log
 from idtool.data.inspection.records import InspectedJoint
 from idtool.data.logs import JointLog, read_log
+from idtool.data.logs.message_options import message_options
 from idtool.data.logs.state_topics import state_topics
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
@@ -78,13 +79,14 @@ def load_logs(
     logs: list[LoadedLog] = []
     for path in paths:
         progress(f"inspecting {path.name}", len(logs) / len(paths))
-        logs.append(_inspect(_read(path, given, topic), robot, given.joints or ()))
+        logs.append(_inspect(_read(path, robot, given, topic), robot, given.joints or ()))
     return logs
 
 
-def _read(path: Path, given: Config, topic: str | None) -> JointLog:
+def _read(path: Path, robot: Robot, given: Config, topic: str | None) -> JointLog:
     options = given.log
-    return read_log(path, topic=topic, columns=options.columns, scale=dict(options.scale))
+    messages = message_options(options, robot.joints)
+    return read_log(path, topic=topic, columns=options.columns, scale=dict(options.scale), messages=messages)
 
 
 def _inspect(log: JointLog, robot: Robot, passive: Collection[str]) -> LoadedLog:
@@ -132,7 +134,9 @@ def _without_torque(log: JointLog, joints: Sequence[str]) -> JointLog:
 
 
 def find_topic(robot: Robot, paths: Sequence[Path], given: Config) -> tuple[str | None, tuple[str, ...]]:
-    """The topic with most of the robot's joints, then most signals, in all logs; and the topics to choose from.
+    """The topic with most of the robot's joints, then most signals, then most samples; and the topics to choose from.
+
+    It is in all logs.
 
     Raises
     ------
@@ -141,7 +145,8 @@ def find_topic(robot: Robot, paths: Sequence[Path], given: Config) -> tuple[str 
     """
     if given.log.topic is not None:
         return given.log.topic, ()
-    topics = {path: state_topics(path) for path in paths if path.exists()}
+    messages = message_options(given.log, robot.joints)
+    topics = {path: state_topics(path, messages) for path in paths if path.exists()}
     several = next((path for path, names in topics.items() if len(names) > 1), None)
     if several is None:
         return None, ()
@@ -149,12 +154,13 @@ def find_topic(robot: Robot, paths: Sequence[Path], given: Config) -> tuple[str 
     if not shared:
         raise LogError(several, f"has no topic in common with the other logs: {join_names(topics[several])}")
 
-    def score(name: str) -> tuple[int, int]:
+    def score(name: str) -> tuple[int, int, int]:
         try:
-            log = _read(several, given, name)
+            log = _read(several, robot, given, name)
         except LogError:  # joint commands have the message type of states, but no position
-            return -1, 0
+            return -1, 0, 0
         known = [joint for joint in log.joints if joint in robot.joints]
-        return len(known), sum(log.has(signal, joint) for joint in known for signal in log.signals)
+        values = sum(log.has(signal, joint) for joint in known for signal in log.signals)
+        return len(known), values, len(log)
 
     return max(shared, key=score), tuple(shared)

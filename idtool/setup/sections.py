@@ -46,16 +46,20 @@ def gravity(draft: Draft) -> ConfigSection:
 
 
 def log(draft: Draft) -> ConfigSection:
-    """The section ``log``: the topic if there are several, and a template."""
+    """The section ``log``: the topic if there are several, the preset if there is one, and a template."""
     seen = draft.log_summary
     rates = ", ".join(dict.fromkeys(f"{rate:.4g}" for rate in seen.rates_hz))
     comments = [f"How the logs are read. Their sampling rate is {rates} Hz, according to their time stamps (logs)."]
-    value = None
+    value: dict[str, Any] = {}
     if seen.topic is not None:
         comments.append(
             f"topic: the topic with most of the URDF's joints and signals, out of {join_names(seen.topics)} (logs)."
         )
-        value = {"topic": seen.topic}
+        value["topic"] = seen.topic
+    presets = {log.preset for log in seen.logs if log.preset is not None}
+    if len(presets) == 1:
+        comments.append("preset: the robot whose messages these are, which do not name the joints (logs and URDF).")
+        value["preset"] = presets.pop()
     first = draft.joints[0]
     unit = draft.unit("torque", draft.joints)
     remark = (
@@ -63,7 +67,7 @@ def log(draft: Draft) -> ConfigSection:
         "columns: names of the columns in the file."
     )
     template = {"scale": {"tau": {first: None}}, "columns": {f"tau_{first}": None}}
-    return ConfigSection("log", tuple(comments), value, (remark,), template)
+    return ConfigSection("log", tuple(comments), value or None, (remark,), template)
 
 
 def velocity(draft: Draft) -> ConfigSection:

@@ -90,7 +90,7 @@ def test_csv(tmp_path: Path, contents: bytes | list[Row], naming: str) -> None:
 
 
 def a_channel(topic: str, encoding: str, *schema: str, payload: bytes = b"{}") -> Channel:
-    """Two messages that are no joint states, or claim to be."""
+    """Two messages that are not joint states, or claim to be."""
     name, kind, text = schema
     return Channel(topic, [1, 2], [payload] * 2, encoding, (name, kind, text.encode()))
 
@@ -111,7 +111,7 @@ MCAP: dict[str, tuple[Callable[[Path], Any], str]] = {
         lambda path: write_mcap(path, ros2(moving()), ros2(moving(), "/arm/joint_states")),
         "2 topics carry joint states; set log.topic to one of /joint_states, /arm/joint_states",
     ),
-    "messages that are no joint states": (
+    "messages that are not joint states": (
         lambda path: write_mcap(path, a_channel("/x", "cdr", NAME, "ros2msg", ROS2, payload=b"nonsense")),
         "message 1 of /x",
     ),

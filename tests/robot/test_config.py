@@ -196,6 +196,46 @@ def test_a_slip_in_any_key_names_the_key_that_was_meant(refusal: Refusal, path: 
         ("friction: {hip: {viscous: {valu: 1}}}", "friction.hip.viscous: unknown key 'valu'; did you mean 'value'?"),
         ("friction: {hip: {viscous: [1]}}", "friction.hip.viscous.value: input should be a valid number"),
         ("friction: 3", "friction: input should be a mapping of keys to values"),
+        ("log: {preset: unitree_go2}", "log.preset: unitree_go2 is not a preset; did you mean unitree_go?"),
+        ("log: {field_joints: [hip, null, hip]}", "log.field_joints: hip is listed twice; list each joint once"),
+        ("log: {fields: {v: 'm[{i}].v'}}", "log: fields has no position of the joints; add q, or set preset"),
+        (
+            "log: {fields: {q: 'm[{i}].q'}}",
+            "log: fields needs the joints' names: list them in field_joints in the order of {i}, or add the path name",
+        ),
+        (
+            "log: {fields: {q: 'm[{i}].q', name: 'm[{i}].name'}, field_joints: [hip]}",
+            "log: the joints are named twice; remove field_joints, or name from fields",
+        ),
+        (
+            "log: {fields: {q: 'm[0].q'}, field_joints: [hip]}",
+            "log.fields: q: m[0].q needs one index {i}, which stands for the joint, as in motor_state[{i}].q",
+        ),
+        (
+            "log: {preset: unitree_go, fields: {imu.gyro: 'imu[{i}].w'}}",
+            "log.fields: imu.gyro: imu[{i}].w is not of a joint, so that {i} has no meaning; give the index",
+        ),
+        (
+            "log: {preset: unitree_go, fields: {imu.gyro: imu state}}",
+            "log.fields: imu.gyro: imu state is not a path such as motor_state[{i}].q or imu_state.gyroscope",
+        ),
+        (
+            "log: {preset: unitree_go, fields: {imu.gyro: imu > 3}}",
+            "log.fields: imu.gyro: only the field of a contact has a threshold",
+        ),
+        (
+            "log: {preset: unitree_go, fields: {contact.foot: force > much}}",
+            "log.fields: contact.foot: the threshold much is not a number",
+        ),
+        (
+            "log: {preset: unitree_go, fields: {imu.orientation: a, imu.orientation_wxyz: b}}",
+            "log.fields: has the orientation twice; keep imu.orientation (xyzw) or imu.orientation_wxyz",
+        ),
+        (
+            "log: {preset: unitree_go, fields: {imu.gyr: a}}",
+            "log.fields: imu.gyr: unknown field; give one of q, v, tau",
+        ),
+        ("log: {fields: {q: 3}}", "log.fields.q: input should be a valid string"),
         ("log:", "log: input should be a mapping of keys to values"),
         ("joints: hip", "joints: input should be a list"),
         ("gravity: [0, 0]", "gravity.2: field required"),

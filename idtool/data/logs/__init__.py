@@ -7,8 +7,8 @@ A format's file defines `SUFFIXES`, its file name extensions; `matches`, which r
 - check the joint names (`check_names`: printable, each once) and the shapes: t (N,), signals (N, number of joints);
 - return `make_log(...)`, or `make_log_of_complete_samples(...)` if some samples lack signals. Arrays are float64 and
   belong to the log, which may change them;
-- add a notice for everything that it ignores: data in the file, and the options ``topic`` and ``columns`` if the format
-  has no use for them;
+- add a notice for everything that it ignores: data in the file, and the options ``topic``, ``columns`` and
+  ``messages`` if the format has no use for them;
 - raise `LogError` with one clear line for every kind of damaged file, and bound its memory by the size of the file,
   whatever sizes the file declares (`check_expanded_size`).
 
@@ -35,6 +35,7 @@ from idtool.common.outputs import OutputError, check_file
 from idtool.common.provenance import source_from_file
 from idtool.data.logs.bag import ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
 from idtool.data.logs.log import SIGNALS, JointLog, make_log
+from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
 from idtool.data.logs.sensor_channels import SensorOptions
 
 __all__ = ["SIGNALS", "JointLog", "check_log_file", "is_bag", "log_suffixes", "make_log", "read_log", "write_log"]
@@ -49,7 +50,12 @@ class _Format(Protocol):
     def matches(self, head: bytes) -> bool: ...
 
     def read(
-        self, path: Path, topic: str | None, columns: Mapping[str, str], sensors: SensorOptions | None = None
+        self,
+        path: Path,
+        topic: str | None,
+        columns: Mapping[str, str],
+        sensors: SensorOptions | None = None,
+        messages: MessageOptions = DEFAULT_MESSAGES,
     ) -> JointLog: ...
 
     def write(self, file: BinaryIO, log: JointLog) -> None: ...
@@ -68,6 +74,7 @@ def read_log(
     columns: Mapping[str, str] = {},
     scale: Mapping[str, Mapping[str, float]] = {},
     sensors: SensorOptions | None = None,
+    messages: MessageOptions = DEFAULT_MESSAGES,
 ) -> JointLog:
     """Read a log of any format.
 
@@ -83,6 +90,8 @@ def read_log(
         Signal to joint to SI units per logged unit.
     sensors
         How to read the topics of IMU, contacts and wrenches; None: they are not read.
+    messages
+        Which fields to read from messages of an MCAP file that are not joint states.
 
     Raises
     ------
@@ -91,7 +100,7 @@ def read_log(
     """
     path = Path(path)
     try:
-        log = _read(path, topic, columns, sensors)
+        log = _read(path, topic, columns, sensors, messages)
         sources = tuple(source_from_file("log", file) for file in log_files(path))
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
@@ -99,14 +108,20 @@ def read_log(
     return replace(log, sources=sources)
 
 
-def _read(path: Path, topic: str | None, columns: Mapping[str, str], sensors: SensorOptions | None) -> JointLog:
+def _read(
+    path: Path,
+    topic: str | None,
+    columns: Mapping[str, str],
+    sensors: SensorOptions | None,
+    messages: MessageOptions,
+) -> JointLog:
     """The log in its own units; OSError if a file cannot be read."""
     if path.is_dir():
         from idtool.data.logs.mcap import read
 
         if not path.name and is_bag(path):  # the working directory
             path = path.resolve()
-        return read(path, topic, columns, sensors)
+        return read(path, topic, columns, sensors, messages)
     if not path.is_file():
         raise LogError(path, "there is no such file")
     with path.open("rb") as file:
@@ -115,7 +130,7 @@ def _read(path: Path, topic: str | None, columns: Mapping[str, str], sensors: Se
         raise LogError(path, "is empty")
     for log_format in _formats():
         if log_format.matches(head):
-            return log_format.read(path, topic, columns, sensors)
+            return log_format.read(path, topic, columns, sensors, messages)
     if head.startswith(SQLITE):
         raise LogError(path, wrong_storage_message(path, "sqlite3"))
     if head.startswith(ROS1):

@@ -18,6 +18,7 @@ from idtool.common.notice import Notice
 from idtool.data.logs.columns import find_columns
 from idtool.data.logs.interleaved import make_log_of_complete_samples
 from idtool.data.logs.log import SIGNALS, Channel, JointLog, truncation_notice
+from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
 from idtool.data.logs.sample_buffer import SampleBuffer, Samples
 from idtool.data.logs.sensor_channels import SensorOptions
 from idtool.data.logs.table import CsvTable
@@ -39,7 +40,13 @@ def matches(head: bytes) -> bool:
     return not _CONTROL_CHARACTERS.search(head)
 
 
-def read(path: Path, topic: str | None, columns: Mapping[str, str], sensors: SensorOptions | None = None) -> JointLog:
+def read(
+    path: Path,
+    topic: str | None,
+    columns: Mapping[str, str],
+    sensors: SensorOptions | None = None,
+    messages: MessageOptions = DEFAULT_MESSAGES,
+) -> JointLog:
     """Read a table with canonical column names, or those in ``columns``; ``topic`` selects one of several topics.
 
     The channels of sensors are read whatever ``sensors`` says.
@@ -83,6 +90,9 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str], sensors: Sen
         message = f"columns without a joint signal were ignored: {join_names(column_map.unused)}"
         advice = "if one of them is a joint signal, map it in log.columns of the configuration"
         notices.append(Notice("unused_columns", "note", None, message, advice))
+    if messages.are_given:
+        message = "log.fields and log.preset are only for MCAP and were ignored"
+        notices.append(Notice("fields_ignored", "note", None, message))
     if empty_rows:
         were = "was" if empty_rows == 1 else "were"
         message = f"{count_text(empty_rows, 'row')} without a joint signal {were} skipped"

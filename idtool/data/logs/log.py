@@ -91,6 +91,8 @@ class JointLog:
         Channels of sensors that are of no joint, by name; see `sensor_channels`.
     unknown_torque
         Joints whose torque was not logged, and is 0 in ``signals``.
+    preset
+        Preset that names the joints, which the messages do not; None: they are named in the file or by the options.
     """
 
     path: Path
@@ -103,6 +105,7 @@ class JointLog:
     sources: tuple[InputFile, ...] = ()
     channels: Mapping[str, Channel] = field(default_factory=dict)
     unknown_torque: tuple[str, ...] = ()
+    preset: str | None = None
 
     def __len__(self) -> int:
         return len(self.t)

@@ -14,12 +14,13 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
-from idtool.common.names import join_names
+from idtool.common.names import join_names, printable
 from idtool.common.notice import Notice
 from idtool.data.logs.bag import MCAP, ZSTD, log_files
 from idtool.data.logs.interleaved import make_log_of_complete_samples
 from idtool.data.logs.log import JointLog, truncation_notice
 from idtool.data.logs.mcap_file import open_mcap
+from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
 from idtool.data.logs.payloads.cdr import DEFINITION, TYPE, encode
 from idtool.data.logs.sample_buffer import SampleBuffer
 from idtool.data.logs.sensor_channels import SensorOptions
@@ -41,7 +42,13 @@ def matches(head: bytes) -> bool:
     return head.startswith((MCAP, ZSTD))
 
 
-def read(path: Path, topic: str | None, columns: Mapping[str, str], sensors: SensorOptions | None = None) -> JointLog:
+def read(
+    path: Path,
+    topic: str | None,
+    columns: Mapping[str, str],
+    sensors: SensorOptions | None = None,
+    messages: MessageOptions = DEFAULT_MESSAGES,
+) -> JointLog:
     """Read the joint states of ``topic``, or of the only topic that carries any; ``columns`` are for CSV.
 
     Parameters
@@ -50,14 +57,16 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str], sensors: Sen
         The file, or the rosbag2 folder, whose files are parts of one log.
     sensors
         How to read the topics of sensors; None: they are not read.
+    messages
+        Which messages other than joint states to read.
 
     Raises
     ------
     LogError
         If a file is damaged, or there is not exactly one topic to read.
     """
-    topics = TopicReader(path, topic)
-    sensor_topics = SensorTopics(path, sensors.imu_topic) if sensors is not None else None
+    topics = TopicReader(path, topic, messages)
+    sensor_topics = SensorTopics(path, sensors.imu_topic, messages) if sensors is not None else None
     truncated: dict[int, str] = {}  # names of truncated files by their number
     for i, file in enumerate(log_files(path)):
         topics.begin_file(file)
@@ -72,7 +81,8 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str], sensors: Sen
             truncated[i] = "the file" if file == path else file.name
     if truncated and not len(topics):
         raise LogError(path, "was cut off before its first message")
-    states, commands = topics.select()
+    states_topic = topics.select()
+    states, commands = topics.samples(states_topic), topics.commands(states_topic)
     notices: list[Notice] = []
     for i, name in truncated.items():
         count, last_time = states.part_extent(i)
@@ -86,12 +96,23 @@ def read(path: Path, topic: str | None, columns: Mapping[str, str], sensors: Sen
             advice = "no action is needed if the log contains the measured torque"
             message = f"the commands were ignored: {error}"
             notices.append(Notice("commands_left_out", "warning", None, message, advice))
+    preset = topics.preset(states_topic)
+    if preset is not None and messages.preset is None:
+        message = f"the messages of topic {printable(states_topic)} do not name their joints; read by preset {preset}"
+        advice = "if this is another robot, set log.preset or log.field_joints"
+        notices.append(Notice("preset_assumed", "note", None, message, advice))
+    if topics.are_fields_missing(states_topic):
+        message = (
+            f"no topic has the fields of log.fields or log.preset; read: joint states of {printable(states_topic)}"
+        )
+        notices.append(Notice("fields_ignored", "note", None, message))
     if columns:
         message = f"log.columns is only for CSV and was ignored: {join_names(columns)}"
         notices.append(Notice("columns_ignored", "note", None, message))
     notices += convert_to_seconds(t)
     log = make_log_of_complete_samples(path, t, joints, signals, tuple(notices))
-    return log if sensor_topics is None else replace(log, channels=sensor_topics.channels())
+    channels = {} if sensor_topics is None else sensor_topics.channels(states_topic)
+    return replace(log, preset=preset, channels=channels)
 
 
 def _command_signals(commands: SampleBuffer, t: Array, joints: tuple[str, ...]) -> dict[str, Array]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import LogError
 
-_MAX_JOINTS = 512  # a joint takes room in every sample, so a file must not name joints without end
+MAX_JOINTS = 512  # a joint takes room in every sample, so a file must not name joints without end
 _MAX_FILL = 16  # allocated values for each value that a sample has
 _FREE_VALUES = 1 << 24  # allocated values that are always allowed
 _SPARE_BYTES = 1 << 21  # room to grow for each array of a long log
@@ -124,8 +124,8 @@ class SampleBuffer:
         joints = dict.fromkeys(joint for piece in pieces for joint in piece.joints)
         new_joints = [joint for joint in joints if joint not in self._columns]
         count = len(self._columns) + len(new_joints)
-        if count > _MAX_JOINTS:
-            raise LogError(self._path, f"names more than {_MAX_JOINTS} joints; is this a log of one robot?")
+        if count > MAX_JOINTS:
+            raise LogError(self._path, f"names more than {MAX_JOINTS} joints; is this a log of one robot?")
         names = dict.fromkeys(name for piece in pieces for name in piece.signals)
         allocated = self._size * count * len(self._signals.keys() | names.keys())
         if allocated > _MAX_FILL * self._value_count + _FREE_VALUES:

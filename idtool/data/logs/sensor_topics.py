@@ -1,7 +1,8 @@
 """`SensorTopics`: the topics of MCAP files with IMU, contacts and wrenches, as channels.
 
 A topic's name without its slashes is part of the channels' names: a wrench on /force/FL_foot becomes
-``force_FL_foot_x``, a flag on /contact/FL_foot ``contact_FL_foot``.
+``force_FL_foot_x``, a flag on /contact/FL_foot ``contact_FL_foot``. The messages of the joints' states may have
+channels, too; see `message_options`.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from mcap.records import Channel as ChannelDefinition
+from mcap.records import Schema
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import LogError
@@ -17,11 +20,11 @@ from idtool.common.names import join_names, printable, suggestion
 from idtool.data.logs.definitions import Definitions
 from idtool.data.logs.log import Channel
 from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, RecordBatch
+from idtool.data.logs.message_options import FieldSource, MessageOptions, find_field_source
 from idtool.data.logs.payloads import sensor_decoder_for
-from idtool.data.logs.payloads.base import Decoder, PayloadError
+from idtool.data.logs.payloads.base import Decoder, FieldError, PayloadError
 from idtool.data.logs.payloads.sensor_types import SENSOR_TYPES
 
-_IMU = "sensor_msgs/Imu"
 _PREFIXES = ("force_", "contact_")  # that a topic may have already
 
 
@@ -32,6 +35,8 @@ class _Topic:
     type_name: str
     channels: tuple[str, ...]
     decoder: Decoder
+    is_addressed: bool = False  # by the fields of the joints' states
+    error: LogError | None = None
     times: list[Array] = field(default_factory=list)
     values: list[Array] = field(default_factory=list)
 
@@ -44,20 +49,25 @@ class SensorTopics:
     path
         The log; errors name it.
     imu
-        The topic of the IMU; None: the only one.
+        The topic of the IMU; None: that of the joints' states if it has one, or else the only one.
+    options
+        Which fields of other messages to read.
     """
 
-    def __init__(self, path: Path, imu: str | None) -> None:
+    def __init__(self, path: Path, imu: str | None, options: MessageOptions) -> None:
         self._path = path
         self._imu = imu
+        self._options = options
         self._definitions = Definitions(path)
         self._by_channel: dict[int, _Topic] = {}
         self._topics: dict[str, _Topic] = {}
+        self._sources: dict[tuple[str, int], FieldSource | None] = {}  # by encoding and schema, which channels share
 
     def begin_file(self, file: Path) -> None:
         """Start the next file, in which channels have other ids."""
         self._definitions = Definitions(file)
         self._by_channel = {}
+        self._sources = {}
 
     def read(self, batch: RecordBatch) -> None:
         """Decode the messages of a batch that are of sensors.
@@ -67,15 +77,12 @@ class SensorTopics:
         LogError
             If a definition or a message cannot be read.
         """
-        for channel, schema in self._definitions.read(batch):
+        for definition, schema in self._definitions.read(batch):
             if schema is None:
                 continue
-            type_name = schema.name.replace("/msg/", "/")
-            decoder = sensor_decoder_for(channel.message_encoding, schema)
-            if decoder is not None:
-                names = SENSOR_TYPES[type_name].channels(_channel_name(channel.topic))
-                topic = self._topics.setdefault(channel.topic, _Topic(type_name, names, decoder))
-                self._by_channel[channel.id] = topic
+            topic = self._sensor_topic(definition, schema)
+            if topic is not None:
+                self._by_channel[definition.id] = self._topics.setdefault(definition.topic, topic)
         if not len(batch.messages) or not self._by_channel:
             return
         heads = batch.heads
@@ -83,32 +90,64 @@ class SensorTopics:
             if channel_id in self._by_channel:
                 self._decode(self._by_channel[channel_id], batch, np.flatnonzero(heads["channel"] == channel_id))
 
-    def channels(self) -> dict[str, Channel]:
+    def channels(self, states_topic: str) -> dict[str, Channel]:
         """The channels by name.
+
+        Parameters
+        ----------
+        states_topic
+            The topic of the joints' states, whose fields are read.
 
         Raises
         ------
         LogError
             If several topics carry an IMU and none is chosen, or the chosen one does not.
         """
-        imus = [name for name, topic in self._topics.items() if topic.type_name == _IMU and topic.times]
+        topics = {}
+        for name, topic in self._topics.items():
+            if name == states_topic and topic.error is not None:
+                raise topic.error
+            if topic.times and (name == states_topic or not topic.is_addressed):
+                topics[name] = topic
+        imus = [name for name, topic in topics.items() if _has_imu(topic)]
+        imu = states_topic if self._imu is None and states_topic in imus else self._imu
         if self._imu is not None and self._imu not in imus:
             what = f"base.imu.topic: no IMU on topic {printable(self._imu)}; {suggestion(self._imu, imus)}"
             raise LogError(self._path, what)
-        if self._imu is None and len(imus) > 1:
+        if imu is None and len(imus) > 1:
             what = f"{len(imus)} topics carry an IMU; set base.imu.topic to one of {join_names(imus)}"
             raise LogError(self._path, what)
         channels = {}
-        for name, topic in self._topics.items():
-            is_other_imu = topic.type_name == _IMU and self._imu not in (None, name)
-            if not topic.times or is_other_imu:
-                continue
+        for name, topic in topics.items():
             t = np.concatenate(topic.times)
             values = np.concatenate(topic.values)
             used_channels = [channel for channel in topic.channels if channel]
             for channel, x in zip(used_channels, values.T, strict=True):
-                channels[channel] = Channel(t, np.ascontiguousarray(x))
+                is_of_other_imu = _is_of_imu(channel) and imu not in (None, name)
+                if not is_of_other_imu:
+                    channels[channel] = Channel(t, np.ascontiguousarray(x))
         return channels
+
+    def _sensor_topic(self, definition: ChannelDefinition, schema: Schema) -> _Topic | None:
+        """A topic of a sensor, or of messages with addressed fields; None if it is neither."""
+        type_name = schema.name.replace("/msg/", "/")
+        decoder = sensor_decoder_for(definition.message_encoding, schema)
+        if decoder is not None:
+            names = SENSOR_TYPES[type_name].channels(_channel_name(definition.topic))
+            return _Topic(type_name, names, decoder)
+        key = (definition.message_encoding, schema.id)
+        if key not in self._sources:
+            self._sources[key] = self._find_source(definition.message_encoding, schema)
+        source = self._sources[key]
+        if source is None or source.decoders.sensors is None:
+            return None
+        return _Topic(type_name, source.decoders.channels, source.decoders.sensors, is_addressed=True)
+
+    def _find_source(self, encoding: str, schema: Schema) -> FieldSource | None:
+        try:
+            return find_field_source(encoding, schema, self._options)
+        except FieldError:  # if it is of the topic of the states, it is raised there
+            return None
 
     def _decode(self, topic: _Topic, batch: RecordBatch, index: Indices) -> None:
         """Add the messages of a batch at ``index``; those without a stamp get their log time."""
@@ -118,13 +157,25 @@ class SensorTopics:
         try:
             decoded = topic.decoder(batch.buffer, starts, lengths)
         except PayloadError as error:
-            raise LogError(self._path, f"a message of type {topic.type_name} {error}") from None
+            fault = LogError(self._path, f"a message of type {printable(topic.type_name)} {error}")
+            if not topic.is_addressed:
+                raise fault from None
+            topic.error = fault  # it may not be the topic of the states
+            return
         log_time = heads["log_time"] / 1e9
         for piece in decoded:
             topic.times.append(np.where(piece.t == 0, log_time[piece.index], piece.t))
             used = [i for i, channel in enumerate(topic.channels) if channel]
             # a copy, so that the messages need not be kept
             topic.values.append(np.array(piece.signals["sensor"][:, used], dtype=np.float64))
+
+
+def _is_of_imu(channel: str) -> bool:
+    return channel.startswith("imu_")
+
+
+def _has_imu(topic: _Topic) -> bool:
+    return any(map(_is_of_imu, topic.channels))
 
 
 def _channel_name(topic: str) -> str:

@@ -8,13 +8,16 @@ from idtool.common.exceptions import LogError
 from idtool.data.logs.bag import log_files
 from idtool.data.logs.mcap import matches
 from idtool.data.logs.mcap_file import open_mcap
+from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
 from idtool.data.logs.topics import TopicReader
 
 _HEAD_BYTES = 8
 
 
-def state_topics(path: Path) -> tuple[str, ...]:
+def state_topics(path: Path, options: MessageOptions = DEFAULT_MESSAGES) -> tuple[str, ...]:
     """The topics of an MCAP file or rosbag2 folder that carry joint states, in order; empty for other formats.
+
+    ``options`` tell which messages other than joint states are read.
 
     Raises
     ------
@@ -26,7 +29,7 @@ def state_topics(path: Path) -> tuple[str, ...]:
             with path.open("rb") as file:
                 if not matches(file.read(_HEAD_BYTES)):
                     return ()
-        topics = TopicReader(path, None, keep_samples=False)
+        topics = TopicReader(path, None, options, keep_samples=False)
         for part in log_files(path):
             topics.begin_file(part)
             with open_mcap(part) as records:

@@ -17,6 +17,7 @@ from idtool.data.base_sensors import BaseSensors, needed_channels, sensor_option
 from idtool.data.controller import with_unknown_torque, without_constant_torque
 from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.logs import JointLog, read_log
+from idtool.data.logs.message_options import message_options
 from idtool.data.logs.sensor_channels import with_sensors
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
 from idtool.data.signals import Batch, Signals, default_cutoff
@@ -316,8 +317,8 @@ def prepare(
     if not logs and not validate:
         raise LogError("logs", "no log given; name at least one log file")
     check_wrench_sensors(robot, config)
-    fitted = [transform(_read(log, config)) for log in logs]
-    validated = [transform(_read(log, config)) for log in validate]
+    fitted = [transform(_read(log, config, robot)) for log in logs]
+    validated = [transform(_read(log, config, robot)) for log in validate]
     every = (*fitted, *validated)
     common = [name for name in every[0].joints if all(name in log.joints for log in every)]
     model = build_model(robot, config, common)
@@ -390,11 +391,18 @@ def _torques(log: JointLog, joints: Sequence[str]) -> Array:
     return np.where(np.isfinite(tau), tau, 1.0)
 
 
-def _read(log: Path | JointLog, config: Config) -> JointLog:
+def _read(log: Path | JointLog, config: Config, robot: Robot) -> JointLog:
     if not isinstance(log, JointLog):
         options = config.log
         sensors = sensor_options(config)
-        log = read_log(log, topic=options.topic, columns=options.columns, scale=dict(options.scale), sensors=sensors)
+        log = read_log(
+            log,
+            topic=options.topic,
+            columns=options.columns,
+            scale=dict(options.scale),
+            sensors=sensors,
+            messages=message_options(options, robot.joints),
+        )
     if sensor_options(config) is not None:
         log = with_sensors(log, needed_channels(config))
     if config.wrench_sensors:

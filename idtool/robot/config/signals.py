@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
+from idtool.common.names import suggestion
 from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Positive
 from idtool.robot.config.terms import UncertainValue
+from idtool.robot.message_fields import JOINT_NAME, PRESETS, parse_field
 
 
 def _nonzero(factor: float) -> float:
@@ -30,12 +32,57 @@ class Scale(ConfigRecord):
     vcmd: Factors = Field(default_factory=dict)
 
 
+def _preset(name: str) -> str:
+    if name not in PRESETS:
+        raise ValueError(f"{name} is not a preset; {suggestion(name, PRESETS)}")
+    return name
+
+
+def _joint_list(joints: tuple[str | None, ...]) -> tuple[str | None, ...]:
+    names = [name for name in joints if name is not None]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{name} is listed twice; list each joint once")
+    return joints
+
+
 class LogOptions(ConfigRecord):
-    """Options for reading the logs."""
+    """Options for reading the logs.
+
+    ``fields`` are the paths of the signals in messages that are not joint states, and ``field_joints`` the joints in
+    the order of their index; null: no joint. ``preset`` names a robot for which both are known.
+    """
 
     topic: str | None = None
     columns: dict[str, str] = Field(default_factory=dict)
     scale: Scale = Scale()
+    preset: Annotated[str, AfterValidator(_preset)] | None = None
+    fields: dict[str, str] = Field(default_factory=dict)
+    field_joints: Annotated[tuple[str | None, ...], AfterValidator(_joint_list)] = ()
+
+    @field_validator("fields")
+    @classmethod
+    def _usable_fields(cls, fields: dict[str, str]) -> dict[str, str]:
+        for key, path in fields.items():
+            try:
+                parse_field(key, path)
+            except ValueError as error:
+                raise ValueError(f"{key}: {error}") from None
+        if {"imu.orientation", "imu.orientation_wxyz"} <= fields.keys():
+            raise ValueError("has the orientation twice; keep imu.orientation (xyzw) or imu.orientation_wxyz")
+        return fields
+
+    @model_validator(mode="after")
+    def _complete(self) -> LogOptions:
+        if self.fields and self.preset is None:
+            if "q" not in self.fields:
+                raise ValueError("fields has no position of the joints; add q, or set preset")
+            if not self.field_joints and JOINT_NAME not in self.fields:
+                what = "fields needs the joints' names"
+                raise ValueError(f"{what}: list them in field_joints in the order of {{i}}, or add the path name")
+        if JOINT_NAME in self.fields and self.field_joints:
+            raise ValueError("the joints are named twice; remove field_joints, or name from fields")
+        return self
 
 
 class Filter(ConfigRecord):

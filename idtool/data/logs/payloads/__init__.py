@@ -1,8 +1,8 @@
 """Decoders of message payloads. A new encoding is one new file in this folder.
 
 A member defines `ENCODING`, the message encoding that it reads; `decoder`, which returns the decoder of a channel's
-messages if its schema is that of joint states; `text`, the same for messages that are a single text; and `sensor`, the
-same for those of `sensor_types`.
+messages if its schema is that of joint states; `text`, the same for messages that are a single text; `sensor`, the same
+for those of `sensor_types`; and `fields`, which returns the decoders of addressed fields of any messages.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import pkgutil
 from functools import cache
 from typing import TYPE_CHECKING, Protocol, cast
 
-from idtool.data.logs.payloads.base import Decoder, TextDecoder
+from idtool.common.names import printable
+from idtool.data.logs.payloads.base import Decoder, FieldDecoders, FieldError, MessageFields, TextDecoder
 
 if TYPE_CHECKING:
     from mcap.records import Schema
@@ -26,6 +27,8 @@ class _Encoding(Protocol):
     def text(self, schema: Schema) -> TextDecoder | None: ...
 
     def sensor(self, schema: Schema) -> Decoder | None: ...
+
+    def fields(self, schema: Schema, fields: MessageFields) -> FieldDecoders: ...
 
 
 def decoder_for(encoding: str, schema: Schema) -> Decoder | None:
@@ -44,6 +47,22 @@ def sensor_decoder_for(encoding: str, schema: Schema) -> Decoder | None:
     """The decoder of a channel's messages; None unless they are of `sensor_types` in a supported encoding."""
     member = _encodings().get(encoding)
     return member.sensor(schema) if member else None
+
+
+def field_decoders_for(encoding: str, schema: Schema | None, fields: MessageFields) -> FieldDecoders:
+    """The decoders of addressed fields of a channel's messages.
+
+    Raises
+    ------
+    FieldError
+        If the messages do not have these fields, or their encoding or schema is not supported.
+    """
+    member = _encodings().get(encoding)
+    if schema is None:
+        raise FieldError("its messages have no schema")
+    if member is None:
+        raise FieldError(f"its encoding {printable(encoding)} is not supported")
+    return member.fields(schema, fields)
 
 
 @cache

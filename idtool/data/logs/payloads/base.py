@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from idtool.common.arrays import Array, Indices
 from idtool.common.names import printable
 from idtool.data.logs.sample_buffer import Samples
+from idtool.robot.message_fields import STAMP, MessageField
 
 SIGNALS = {"position": "q", "velocity": "v", "effort": "tau"}
 STAMP_PATHS = (("header", "stamp"), ("stamp",), ("timestamp",))
@@ -36,6 +38,63 @@ class PayloadError(Exception):
     def __init__(self, index: int, message: object) -> None:
         self.index = index
         super().__init__(str(message))
+
+
+class FieldError(ValueError):
+    """A path that a message type does not have, or a definition that cannot be read.
+
+    Parameters
+    ----------
+    message
+        What is wrong with it.
+    closeness
+        Tells the topic that was meant: 1 for a known type, 1 for each path that was found before, 0.5 for a similar
+        name.
+    """
+
+    def __init__(self, message: str, closeness: float = 0.0) -> None:
+        self.closeness = closeness
+        super().__init__(message)
+
+
+@dataclass(frozen=True)
+class MessageFields:
+    """What to read from messages that are not joint states.
+
+    Attributes
+    ----------
+    entries
+        The fields by key.
+    joints
+        Names of the joints, in the order of their index; None: no joint. Empty if the messages name the joints.
+    """
+
+    entries: Mapping[str, MessageField]
+    joints: tuple[str | None, ...]
+
+    @property
+    def stamp(self) -> MessageField | None:
+        """The stamp; None: the usual one, if there is any."""
+        return self.entries.get(STAMP)
+
+
+@dataclass(frozen=True)
+class FieldDecoders:
+    """Decoders of the addressed fields of messages.
+
+    Attributes
+    ----------
+    states
+        Decoder of the joints' signals.
+    sensors
+        Decoder of the channels of sensors, whose numbers are the signal ``sensor``; None: there are none.
+    channels
+        Their names.
+    """
+
+    states: Decoder
+    sensors: Decoder | None
+    channels: tuple[str, ...]
 
 
 class JointState(NamedTuple):

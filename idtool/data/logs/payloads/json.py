@@ -13,7 +13,10 @@ from idtool.data.logs.payloads.base import (
     SIGNALS,
     STAMP_PATHS,
     Decoder,
+    FieldDecoders,
+    FieldError,
     JointState,
+    MessageFields,
     PayloadError,
     TextDecoder,
     group_states,
@@ -47,6 +50,11 @@ def text(schema: Schema) -> TextDecoder | None:
 def sensor(schema: Schema) -> Decoder | None:
     """Sensors are read in CDR only."""
     return None
+
+
+def fields(schema: Schema, fields: MessageFields) -> FieldDecoders:
+    """Fields are addressed in CDR only."""
+    raise FieldError(f"log.fields are read in messages in CDR, not in {ENCODING}")
 
 
 def _properties(schema: Schema) -> Any:

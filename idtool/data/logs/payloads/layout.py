@@ -30,14 +30,15 @@ class Layout:
     mask
         The bits that define the layout, shape (L,): messages with the same values there have the same layout.
     fields
-        Signal to the offset and the type of its values, one for each joint.
+        Signal to the offset and the type of its values, one for each joint. The values are side by side, or each has an
+        offset of its own, shape (joints,).
     stamp
         Function from messages (k, L) to their times [s], shape (k,).
     """
 
     joints: tuple[str, ...]
     mask: Bytes
-    fields: Mapping[str, tuple[int, np.dtype[np.floating]]]
+    fields: Mapping[str, tuple[int | Indices, np.dtype[np.floating]]]
     stamp: Callable[[Bytes], Array]
 
     def matches(self, messages: Bytes) -> Mask:
@@ -52,8 +53,11 @@ class Layout:
         return Samples(index, self.stamp(messages), self.joints, signals)
 
     def values(self, messages: Bytes, signal: str) -> NDArray[np.floating]:
-        """A signal in contiguous messages (k, L), as a view of shape (k, len(joints))."""
+        """A signal in contiguous messages (k, L), shape (k, len(joints)); a view if the values are side by side."""
         offset, dtype = self.fields[signal]
+        if not isinstance(offset, int):
+            value_bytes = offset[:, None] + np.arange(dtype.itemsize)
+            return np.take(messages, value_bytes, axis=1).view(dtype)[:, :, 0]
         shape = (len(messages), len(self.joints))
         return np.ndarray(shape, dtype, messages, offset, strides=(messages.shape[1], dtype.itemsize))
 

@@ -22,7 +22,10 @@ from idtool.data.logs.payloads.base import (
     SIGNALS,
     STAMP_PATHS,
     Decoder,
+    FieldDecoders,
+    FieldError,
     JointState,
+    MessageFields,
     PayloadError,
     TextDecoder,
     group_states,
@@ -80,6 +83,11 @@ def text(schema: Schema) -> TextDecoder | None:
 def sensor(schema: Schema) -> Decoder | None:
     """Sensors are read in CDR only."""
     return None
+
+
+def fields(schema: Schema, fields: MessageFields) -> FieldDecoders:
+    """Fields are addressed in CDR only."""
+    raise FieldError(f"log.fields are read in messages in CDR, not in {ENCODING}")
 
 
 def _descriptor(schema: Schema) -> Descriptor | None:
