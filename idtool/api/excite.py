@@ -31,7 +31,9 @@ from idtool.excitation.task import DesignTask, make_design_task
 from idtool.reporting.excitation_report import excitation_report
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.excitation import ExcitationReport
+from idtool.robot.config import Base, Config
 from idtool.robot.model import build_model
+from idtool.robot.urdf.reading import Robot
 
 CRITERIA = ("d", "a", "e", "condition")
 ALL_JOINTS = ""  # in place of a joint: all joints
@@ -161,7 +163,7 @@ def excite(
     report_progress = progress or ignore_progress
     _check_options(criterion, duration, rate, margin, clearance, max_frequency)
     model = as_model(model)
-    model.settings.require_only_joints("excite")
+    given, held_notices = _held_at_base(model.settings, with_logs=bool(as_list(logs)))
     alternatives = None if decide is None else parse_alternatives(decide)
     options = DesignOptions(
         pattern=pattern,
@@ -169,17 +171,19 @@ def excite(
         friction_share=slow,
         max_frequency=max_frequency,
         iterations=iterations,
-        seed=model.settings.seed if seed is None else seed,
+        seed=given.seed if seed is None else seed,
         start=dict(start or {}),
         tip=tip,
     )
     paths = [Path(str(path)) for path in as_list(logs)]
-    experiment = _load_experiment(model, paths, report_progress)
-    task, logged = _make_task(model, experiment, noise, rate, margin, clearance, criterion, favour, report_progress)
+    experiment = _load_experiment(model.robot, given, paths, report_progress)
+    task, logged = _make_task(
+        model.robot, given, experiment, noise, rate, margin, clearance, criterion, favour, report_progress
+    )
     if experiment is None:
-        settings = model.settings
+        settings = given
         sources = sources_of(model.robot, settings)
-        notices: Sequence[Notice] = ()
+        notices: Sequence[Notice] = held_notices
     else:
         settings = experiment.config
         sources = experiment.sources
@@ -224,16 +228,32 @@ def _check_options(
             raise ConfigError(option, f"{value:g} is not between {least:g} and {most:g}")
 
 
-def _load_experiment(model: Model, logs: Sequence[Path], progress: Progress) -> Experiment | None:
+def _held_at_base(settings: Config, with_logs: bool) -> tuple[Config, tuple[Notice, ...]]:
+    """Settings of a robot whose base is held, in place of one that floats, and a notice that says so.
+
+    What a wrench sensor measures is left out: without it, a trajectory is expected to tell less than it does.
+    """
+    if with_logs:
+        settings.require_only_joints("excite with logs")
+    held = settings.model_copy(update={"base": Base(), "contacts": (), "wrench_sensors": ()})
+    if settings.base.kind == "fixed":
+        return held, ()
+    message = "the trajectory is for a robot whose base is held upright, with all feet in the air"
+    advice = "hang it on a rope or a stand, and fit this log together with logs of the robot on the ground"
+    return held, (Notice("base_is_held", "warning", None, message, advice),)
+
+
+def _load_experiment(robot: Robot, settings: Config, logs: Sequence[Path], progress: Progress) -> Experiment | None:
     """The experiment of the existing logs; None without any."""
     if not logs:
         return None
-    experiment, _, _ = with_delay(prepare(model.robot, model.settings, logs, holdout=0.0), progress)
+    experiment, _, _ = with_delay(prepare(robot, settings, logs, holdout=0.0), progress)
     return experiment
 
 
 def _make_task(
-    model: Model,
+    robot: Robot,
+    settings: Config,
     experiment: Experiment | None,
     noise: float | Mapping[str, float] | None,
     rate: float,
@@ -253,7 +273,6 @@ def _make_task(
         logged = LoggedData(reduction, free_noise(equation, reduction, equalities))
         measured_noise = dict(zip(tree.names, logged.noise.tolist(), strict=True))
     else:
-        robot, settings = model.robot, model.settings
         moving = [joint.name for joint in robot.joints.values() if joint.kind != "fixed" and not joint.mimic]
         tree = build_model(robot, settings, moving)
         equation = LinearModel(tree.names, build_effects(tree, settings))

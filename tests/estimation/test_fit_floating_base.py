@@ -99,7 +99,7 @@ def test_joints_in_the_air_are_simulated_with_the_measured_motion_of_the_base(fo
     ("command", "call"),
     [
         ("simulate", lambda model, log, folder: idtool.simulate(model, log)),
-        ("excite", lambda model, log, folder: idtool.excite(model)),
+        ("excite with logs", lambda model, log, folder: idtool.excite(model, logs=log)),
         ("study", lambda model, log, folder: idtool.study(model, log)),
         ("adapt", lambda model, log, folder: idtool.adapt(model, log)),
         ("diagnose --against", lambda model, log, folder: idtool.diagnose(model, log, against=folder / "stand.csv")),
@@ -109,6 +109,13 @@ def test_commands_for_a_fixed_base_say_so(folder: Path, command: str, call: Call
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
     with pytest.raises(ConfigError, match=f"idtool {command} needs a fixed base"):
         call(model, folder / "hang.csv", folder)
+
+
+def test_motion_is_designed_for_a_held_base(folder: Path) -> None:
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
+    result = idtool.excite(model, duration=3, iterations=1)
+    assert "base_is_held" in [notice.code for notice in result.notices]
+    assert result.log.joints == JOINTS
 
 
 def test_missing_sensor_is_named(folder: Path, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from idtool.robot.config.base import ConfigRecord, Positive, validate_record
 from idtool.robot.config.bounds import BoundingEllipsoid, BoundingShape, HullBound
 from idtool.robot.config.config import Config, parse_config, read_config
 from idtool.robot.config.estimation import WEAK_PRIOR, KnownMasses, MeasuredValue, Mirror, Regularization, Solver
-from idtool.robot.config.floating_base import Contact
+from idtool.robot.config.floating_base import Base, Contact
 from idtool.robot.config.rotors import RotorConfig
 from idtool.robot.config.signals import Controller
 from idtool.robot.config.terms import EffectEntry, Friction, UncertainValue
@@ -15,6 +15,7 @@ from idtool.robot.config.wrench_sensors import WrenchSensor
 
 __all__ = [
     "WEAK_PRIOR",
+    "Base",
     "BoundingEllipsoid",
     "BoundingShape",
     "Config",
