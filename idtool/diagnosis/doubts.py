@@ -52,14 +52,17 @@ def doubt_about(
             "friction is certain"
         )
 
-    if step.significance < _MIN_SIGNIFICANCE and step.chosen.score < _MIN_SHARE:
+    joint = step.chosen.joint or "overall"
+    explained = max(step.before.torque[joint] ** 2 - step.after.torque[joint] ** 2, 0.0)
+    above_floor = max(step.before.torque[joint] ** 2 - floor[joint] ** 2, explained)
+    explained_share = explained / above_floor if above_floor else 0.0
+    share = max(step.chosen.score, explained_share)  # the score is of the first order
+    if step.significance < _MIN_SIGNIFICANCE and share < _MIN_SHARE:
         return (
-            f"{step.chosen.words} explains {100 * step.chosen.score:.0f} % of the squared residual above the noise "
+            f"{step.chosen.words} explains {100 * share:.0f} % of the squared residual above the noise "
             "floor, and most of that in a few parts of the data, so something else may be behind it"
         )
 
-    joint = step.chosen.joint or "overall"
-    explained = max(step.before.torque[joint] ** 2 - step.after.torque[joint] ** 2, 0.0)
     unexplained = remaining[joint] ** 2 - floor[joint] ** 2
     if explained >= unexplained:
         return ""
