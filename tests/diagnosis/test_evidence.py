@@ -84,7 +84,16 @@ def test_what_explains_a_part_and_that_in_a_few_places_is_doubtful(
 ) -> None:
     found = diagnosed(experiment_of(tmp_path, spring))
     (step,) = found.steps
-    changed = replace(step, significance=significance, chosen=replace(step.chosen, score=score))
+    after = {}
+    for name, before in step.before.torque.items():
+        above_floor = before**2 - found.floor[name] ** 2
+        after[name] = float(np.sqrt(before**2 - score * above_floor))
+    changed = replace(
+        step,
+        significance=significance,
+        chosen=replace(step.chosen, score=score),
+        after=replace(step.after, train=after, validation=None),
+    )
     doubt = doubt_about(changed, UNITS, found.floor, found.after.torque, ())
     assert ("explains 50 % of the squared residual" in doubt) is is_doubtful
     assert bool(doubt) is is_doubtful
