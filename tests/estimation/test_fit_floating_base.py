@@ -9,12 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 from ground.logs import RATE, Sensors, config_text, record, write_csv
-from ground.robot import JOINTS, prior_quadruped, true_quadruped, urdf_text
+from ground.robot import IMU_TURN, JOINTS, prior_quadruped, true_quadruped, urdf_text
+from prescribed_motions import silent
+from scipy.spatial.transform import Rotation
 
 import idtool
 from idtool.api.data import load_experiment
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.safe_yaml import parse_yaml
+from idtool.estimation.evaluation.torque_errors import evaluate
+from idtool.reporting.pages.robot import robot_view
 from idtool.robot.model import BASE_COORDINATES
 
 TRUTH = true_quadruped(0)
@@ -116,6 +120,20 @@ def test_motion_is_designed_for_a_held_base(folder: Path) -> None:
     result = idtool.excite(model, duration=3, iterations=1)
     assert "base_is_held" in [notice.code for notice in result.notices]
     assert result.log.joints == JOINTS
+
+
+def test_robot_on_the_page_turns_with_its_imu(folder: Path) -> None:
+    experiment = load_experiment(true_model(folder, "unknown"), folder / "stand.csv")
+    evaluation = evaluate(experiment, {"model": experiment.equation.prior}, False, silent, angles=True)
+    trunk = {"name": "trunk", "masses": None}
+    robot = robot_view(experiment.model, [trunk], evaluation.traces)["robot"]
+    log = np.genfromtxt(folder / "stand.csv", delimiter=",", names=True)
+    samples = np.searchsorted(log["t"], robot["t"])
+    of_imu = Rotation.from_quat(np.stack([log[f"imu_q{part}"] for part in "xyzw"], axis=1)[samples])
+    expected = of_imu * Rotation.from_euler("z", IMU_TURN).inv()
+    shown = Rotation.from_quat([frames[1][:4] for frames in robot["frames"]])
+    assert (expected * shown.inv()).magnitude().max() < 0.02
+    assert expected.magnitude().max() > 0.04
 
 
 def test_missing_sensor_is_named(folder: Path, tmp_path: Path) -> None:

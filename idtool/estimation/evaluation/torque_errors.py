@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.data.signals import Batch
+from idtool.data.signals import Batch, Motion
 from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
 from idtool.estimation.evaluation.envelope import Envelope, Trace
 from idtool.estimation.evaluation.spectrum import Correlations
@@ -102,7 +102,8 @@ def evaluate(
     progress
         Callback for the stage and its progress, from 0 to 1.
     angles
-        If true the traces hold the joints' positions too, as ``q``.
+        If true the traces hold the joints' positions too, as ``q``, and the rotation of a floating base to the world,
+        row after row, as ``base``.
     """
     joints = experiment.equation.joints
     seconds = sum(_seconds(run, held_out) for run in experiment.runs)
@@ -141,7 +142,7 @@ def evaluate(
             correlations.add(residual, measured, stride, log.dt)
             curves = {"measured": measured, "residual": residual, **predicted}
             t = batch.motion.t[inner] + log.start
-            envelope.add(t, {**curves, "q": batch.motion.q[:, inner]} if angles else curves)
+            envelope.add(t, {**curves, **_posture_curves(batch.motion, inner)} if angles else curves)
         traces.append(envelope.trace(log.path.name))
         second += _seconds(run, held_out)
     mean, square = torque_sums / np.maximum(known_samples, 1)
@@ -153,6 +154,15 @@ def evaluate(
         tuple(traces),
         dict(zip(joints, independent.tolist(), strict=False)),
     )
+
+
+def _posture_curves(motion: Motion, inner: slice) -> dict[str, Array]:
+    """Positions of the joints, and rotation of a floating base to the world, shape (9, N)."""
+    curves = {"q": motion.q[:, inner]}
+    if motion.contacts is not None:
+        base_to_world = motion.contacts.world_to_base.transpose(1, 0, 2)
+        curves["base"] = base_to_world[..., inner].reshape(9, -1)
+    return curves
 
 
 def _seconds(run: Run, held_out: bool) -> int:

@@ -39,7 +39,8 @@ def robot_view(
     bodies
         As `body_views` returns them.
     traces
-        The first with the joints' positions, ``q``, shape (nv, 2 stretches), gives the postures.
+        The first with the joints' positions, ``q``, shape (nv, 2 stretches), gives the postures, with the rotation of a
+        floating base to the world, ``base``, shape (9, 2 stretches).
     shown
         Name of the bodies' parameters, beside the prior's.
 
@@ -53,7 +54,7 @@ def robot_view(
     if trace is None:
         return {"robot": None}
     max_postures = max(_MAX_FRAMES // max(len(bodies), 1), 1)
-    t, q = _postures(trace, min(_MAX_POSTURES, max_postures))
+    t, q, turns = _postures(trace, min(_MAX_POSTURES, max_postures))
     placements = body_placements(model, q)
     views_by_name = {view["name"]: view for view in bodies}
     indices = [i for i, body in enumerate(model.bodies) if body.name in views_by_name][:_MAX_FRAMES]
@@ -65,7 +66,7 @@ def robot_view(
         views.append({**views_by_name[body.name], "masses": None, "surface": surface})
     frames = []
     for n in range(len(t)):
-        frames.append([_frame(placements[i], n) for i in (-1, *indices)])
+        frames.append([_frame(placements[i], n, turns[n]) for i in (-1, *indices)])
     view = {
         "bodies": views,
         "shown": shown,
@@ -82,22 +83,34 @@ def with_robot(sections: Sections, view: Mapping[str, Any]) -> Sections:
     return [section for section in sections if section != ROBOT or view["robot"]]
 
 
-def _postures(trace: Trace, max_postures: int) -> tuple[Array, Array]:
-    """Times, shape (n,), and positions, shape (nv, n): the middles of stretches in which something was measured."""
-    q_pairs = trace.curves["q"]
+def _postures(trace: Trace, max_postures: int) -> tuple[Array, Array, Rotation]:
+    """Times, positions and turns of the base: the middles of stretches in which something was measured.
+
+    Shape (n,), (nv, n), and n rotations to the world; none with a fixed base.
+    """
     t = trace.t.reshape(-1, 2).mean(axis=1)
-    q = q_pairs.reshape(len(q_pairs), -1, 2).mean(axis=2)
+    q = _middles(trace.curves["q"])
     known = np.flatnonzero(np.isfinite(q).all(axis=0))
     spread = np.unique(np.linspace(0, len(known) - 1, max_postures).round().astype(int))
-    return t[known[spread]], q[:, known[spread]]
+    chosen = known[spread]
+    turns = Rotation.identity(len(chosen))
+    if "base" in trace.curves:
+        rows = _middles(trace.curves["base"])[:, chosen]
+        turns = Rotation.from_matrix(rows.T.reshape(-1, 3, 3))
+    return t[chosen], q[:, chosen], turns
 
 
-def _frame(placement: tuple[Array, Array], n: int) -> list[float]:
-    """Quaternion x, y, z, w and position [m] of a body in a posture."""
+def _middles(pairs: Array) -> Array:
+    """Middles of the least and the greatest values in stretches, shape (k, 2 stretches) to (k, stretches)."""
+    return np.asarray(pairs.reshape(len(pairs), -1, 2).mean(axis=2))
+
+
+def _frame(placement: tuple[Array, Array], n: int, turn: Rotation) -> list[float]:
+    """Quaternion x, y, z, w and position [m] of a body in a posture, turned with the base."""
     rotations, positions = placement
-    R = rotations[min(n, len(rotations) - 1)]
+    R = Rotation.from_matrix(rotations[min(n, len(rotations) - 1)])
     p = positions[min(n, len(positions) - 1)]
-    return [round(float(x), _DECIMALS) for x in (*Rotation.from_matrix(R).as_quat(), *p)]
+    return [round(float(x), _DECIMALS) for x in (*(turn * R).as_quat(), *turn.apply(p))]
 
 
 def _base_view(robot: Robot, max_faces: int) -> dict[str, Any]:
