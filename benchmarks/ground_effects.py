@@ -3,7 +3,7 @@
 Run ``python benchmarks/ground --out FOLDER`` first, then ``python benchmarks/ground_effects.py FOLDER``.
 
 A model is fitted to the logs without an effect. Then the robot stands, trots and hangs once more with each effect in
-turn, and the model is diagnosed with fixed inertia: the logs cannot tell a payload from the trunk.
+turn, and the model is diagnosed. With ``--inertia refit``, a payload cannot be told from the trunk.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import yaml
@@ -96,7 +96,9 @@ def write_logs(folder: Path, case: Case, seconds: float, seed: int) -> list[Path
     return paths
 
 
-def diagnose_case(folder: Path, config: Mapping[str, Any], seconds: float, seed: int, name: str) -> str:
+def diagnose_case(
+    folder: Path, config: Mapping[str, Any], seconds: float, seed: int, inertia: Literal["refit", "fixed"], name: str
+) -> str:
     """Line of a table: what a diagnosis names of a case."""
     case = cases()[name]
     logs = write_logs(folder / name, case, seconds, seed)
@@ -105,7 +107,7 @@ def diagnose_case(folder: Path, config: Mapping[str, Any], seconds: float, seed:
     own["base"]["imu"]["delay"] = 0  # with auto, the logs would be corrected before the diagnosis
     model = idtool.Model(folder / "fit" / "identified.urdf", config=own)
     started = time.perf_counter()
-    result = idtool.diagnose(model, logs, inertia="fixed")
+    result = idtool.diagnose(model, logs, inertia=inertia)
     seconds_taken = time.perf_counter() - started
     named = []
     for step in result.steps:
@@ -132,6 +134,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=16.0, help="length of each log")
     parser.add_argument("--cases", default=",".join(cases()))
+    parser.add_argument("--inertia", choices=("fixed", "refit"), default="fixed")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
 
@@ -142,7 +145,7 @@ def main() -> None:
         logs = [next(folder.glob(f"{kind}.*")) for kind in KINDS]
         idtool.fit(idtool.Model(folder / "quadruped.urdf", config=config), logs, quick=True).save(fitted)
     config = yaml.safe_load((fitted / "model.yaml").read_text())
-    run = partial(diagnose_case, folder, config, options.seconds, options.seed)
+    run = partial(diagnose_case, folder, config, options.seconds, options.seed, options.inertia)
     names = options.cases.split(",")
     if options.jobs == 1:
         for name in names:
