@@ -16,8 +16,8 @@ ARM_PARTS = ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow")
 _AXES = {"roll": np.array([1.0, 0.0, 0.0]), "pitch": np.array([0.0, 1.0, 0.0]), "yaw": np.array([0.0, 0.0, 1.0])}
 _GEAR = 14.0
 _SOLE = np.array([0.03, 0.0, -0.02])  # m, its middle in the foot
-_HALF_LENGTH, _HALF_WIDTH = 0.09, 0.035  # m, of the sole
-_SOLE_SOFTNESS = Softness(stiffness=4e5, damping=400.0, shear_stiffness=2e5, shear_damping=200.0)
+_HALF_LENGTH, _HALF_WIDTH = 0.09, 0.045  # m, of the sole
+_SOLE_SOFTNESS = Softness(stiffness=1e6, damping=500.0, shear_stiffness=5e5, shear_damping=300.0)
 
 
 class _Link(NamedTuple):
@@ -32,8 +32,8 @@ class _Link(NamedTuple):
 _PELVIS = _Link((0.0, 0.0, 0.0), 3.6, (0.0, 0.0, -0.03), (0.1, 0.12, 0.1))
 _FOOT = _Link((0.0, 0.0, -0.02), 0.5, (0.03, 0.0, -0.005), (0.14, 0.05, 0.03))
 _LINKS = {
-    "hip_pitch": _Link((0.0, 0.07, -0.1), 1.2, (0.0, 0.03, -0.02), (0.07, 0.07, 0.07)),
-    "hip_roll": _Link((0.0, 0.04, -0.03), 1.3, (0.01, 0.0, -0.05), (0.07, 0.07, 0.1)),
+    "hip_pitch": _Link((0.0, 0.06, -0.1), 1.2, (0.0, 0.03, -0.02), (0.07, 0.07, 0.07)),
+    "hip_roll": _Link((0.0, 0.03, -0.03), 1.3, (0.01, 0.0, -0.05), (0.07, 0.07, 0.1)),
     "hip_yaw": _Link((0.0, 0.0, -0.11), 1.7, (0.0, 0.0, -0.07), (0.07, 0.07, 0.14)),
     "knee": _Link((0.0, 0.0, -0.18), 1.8, (0.01, 0.0, -0.11), (0.07, 0.06, 0.2)),
     "ankle_pitch": _Link((0.0, 0.0, -0.3), 0.15, (0.0, 0.0, 0.0), (0.03, 0.03, 0.03)),

@@ -1,8 +1,8 @@
 """Motions of the humanoid: standing and swaying, stepping, and hanging with all joints swinging.
 
-Standing and stepping are given by the course of the pelvis and the soles; the legs follow by inverse kinematics. While
-it steps, the centre of mass c moves as that of a pendulum of constant height h whose point of zero moment p goes from
-foot to foot: c - h/g d2c/dt2 = p.
+Standing and stepping are given by the course of the centre of mass, the pelvis and the soles; the legs follow by
+inverse kinematics. While it steps, the centre of mass c moves as that of a pendulum of constant height h whose point of
+zero moment p goes from foot to foot: c - h/g d2c/dt2 = p.
 """
 
 from __future__ import annotations
@@ -15,28 +15,31 @@ from scipy.linalg import solve_banded
 from scipy.spatial.transform import Rotation
 
 from ground.humanoid import LEG_PARTS, SIDES, WAIST_PARTS
-from ground.motions import Motion, Reference, swinging, tones
+from ground.motions import Motion, swinging, tones
 from ground.robot import Array, Robot, rotation_about
 
 _GRID = 0.01  # s, between samples of a course
 _BEND = 0.06  # m, by which the pelvis is lower than with straight legs
 _HANGING_HEIGHT = 1.3  # m
-_SWAY = np.array([0.012, 0.02, 0.01, 0.05, 0.05, 0.07])  # m and rad, of the pelvis
+_SWAY = np.array([0.01, 0.02, 0.01, 0.04, 0.04, 0.07])  # m and rad, of the pelvis
 _SWAY_OF_STEPS = np.array([0.0, 0.0, 0.006, 0.02, 0.03, 0.04])
 _WAIST = np.array([0.15, 0.05, 0.08])  # rad
 _ARM = np.array([0.3, 0.12, 0.25, 0.3])
 _LEG = np.array([0.3, 0.12, 0.15, 0.3, 0.2, 0.15])
 _ARM_STANCE = np.array([0.1, 0.25, 0.0, -0.8])  # rad, of the left one
 _BEFORE_STEPS = 1.0  # s
-_SHIFT, _SWING = 0.5, 0.7  # s, on both feet and on one
+_SHIFT, _SWING = 1.1, 0.8  # s, on both feet and on one
 _LIFT = 0.04  # m
 _STEP = np.array([0.03, 0.01])  # m, that a foot is put beside its place, forward and to the left
 
-_LEG_KP = np.array([4000.0, 4000.0, 2000.0, 3000.0, 2000.0, 2000.0])  # N m/rad
-_LEG_KD = np.array([50.0, 50.0, 25.0, 40.0, 15.0, 15.0])  # N m s/rad
+_LEG_KP = np.array([4000.0, 6000.0, 2000.0, 4000.0, 4000.0, 4000.0])  # N m/rad
+_LEG_KD = np.array([50.0, 60.0, 25.0, 40.0, 20.0, 20.0])  # N m s/rad
 _WAIST_KP, _WAIST_KD = np.full(3, 1000.0), np.full(3, 15.0)
 _ARM_KP, _ARM_KD = np.full(4, 150.0), np.full(4, 3.0)
+_BALANCE = 800.0  # N m/m, torque of each ankle per distance of the pelvis from its course
+_PENDULUM_RATE = 3.9  # 1/s, at which it falls
 _HANGING = 0.2  # share of the gains
+_COM_ITERATIONS = 2  # the legs' mass moves less than the pelvis
 
 
 @dataclass
@@ -46,7 +49,7 @@ class _Course:
     Attributes
     ----------
     pelvis
-        Place in the world [m], and angles about x, y, z [rad].
+        Place of the centre of mass, x and y, and height of the pelvis [m]; its angles about x, y, z [rad].
     soles
         Places of the left and right sole [m], which stay level.
     others
@@ -75,7 +78,21 @@ def humanoid_motion(robot: Robot, kind: str, seconds: float, seed: int) -> Motio
         return Motion(swinging(rng, stance, size), _HANGING * kp, _HANGING * kd, _HANGING_HEIGHT, is_held=True)
     count = round((seconds + 1) / _GRID)
     course = _swaying(robot, stance, rng, count) if kind == "stand" else _stepping(robot, stance, rng, count)
-    return Motion(_followed(robot, course, stance), kp, kd, float(course.pelvis[0, 2]))
+    q, pelvis = _followed(robot, course, stance)
+    ankles = np.zeros((len(robot.joints), 2))
+    for side in SIDES:
+        ankles[robot.joints.index(f"{side}_ankle_pitch_joint"), 0] = _BALANCE
+        ankles[robot.joints.index(f"{side}_ankle_roll_joint"), 1] = -_BALANCE
+    rate, pelvis_rate = q.derivative(), pelvis.derivative()
+
+    def reference(t: float) -> tuple[Array, Array]:
+        return q(t), rate(t)
+
+    def balance(t: float, position: Array, velocity: Array) -> Array:
+        ahead = position[:2] - pelvis(t) + (velocity[:2] - pelvis_rate(t)) / _PENDULUM_RATE
+        return np.asarray(ankles @ ahead)
+
+    return Motion(reference, kp, kd, float(course.pelvis[0, 2]), balance=balance)
 
 
 def _stance(robot: Robot) -> Array:
@@ -103,11 +120,11 @@ def _standing_soles(robot: Robot) -> Array:
 
 def _swaying(robot: Robot, stance: Array, rng: np.random.Generator, count: int) -> _Course:
     """Pelvis, waist and arms move in all directions while the feet stay."""
-    sway = _sampled(rng, _SWAY, 0.1, 0.9, count)
+    sway = _sampled(rng, _SWAY, 0.1, 0.8, count)
     others = stance + _upper_body(rng, count)
     soles = _standing_soles(robot)
-    pelvis = sway + _pelvis_over(robot, stance, soles, soles[:, :2].mean(axis=0))
-    return _Course(pelvis, _on_ground(soles, count), others)
+    middle = [*soles[:, :2].mean(axis=0), -soles[0, 2], 0.0, 0.0, 0.0]
+    return _Course(sway + middle, _on_ground(soles, count), others)
 
 
 def _stepping(robot: Robot, stance: Array, rng: np.random.Generator, count: int) -> _Course:
@@ -130,7 +147,7 @@ def _stepping(robot: Robot, stance: Array, rng: np.random.Generator, count: int)
         start += _SHIFT + _SWING
         foot = standing
     pelvis = _sampled(rng, _SWAY_OF_STEPS, 0.1, 0.8, count)
-    pelvis += _pelvis_over(robot, stance, home, np.zeros(2))
+    pelvis[:, 2] -= home[0, 2]
     height = robot.center_of_mass_at(stance)[2] - home[0, 2]
     pelvis[:, :2] += _pendulum(zero_moment, height)
     return _Course(pelvis, soles, stance + 0.5 * _upper_body(rng, count))
@@ -144,12 +161,6 @@ def _pendulum(zero_moment: Array, height: float) -> Array:
     bands[1] = 1 + 2 * k
     bands[1, [0, -1]] = 1.0
     return np.asarray(solve_banded((1, 1), bands, zero_moment))
-
-
-def _pelvis_over(robot: Robot, stance: Array, soles: Array, point: Array) -> Array:
-    """Pose of a level pelvis whose soles are on the ground and whose centre of mass is over a point, shape (6,)."""
-    com = robot.center_of_mass_at(stance)
-    return np.array([*(point - com[:2]), -soles[0, 2], 0.0, 0.0, 0.0])
 
 
 def _on_ground(soles: Array, count: int) -> Array:
@@ -177,18 +188,24 @@ def _smooth(x: Array) -> Array:
     return np.asarray(x**3 * (10 - 15 * x + 6 * x * x))
 
 
-def _followed(robot: Robot, course: _Course, stance: Array) -> Reference:
-    """The joints' course by inverse kinematics."""
+def _followed(robot: Robot, course: _Course, stance: Array) -> tuple[CubicSpline, CubicSpline]:
+    """Courses of the joints, by inverse kinematics, and of the pelvis from where it begins, x and y."""
     q = course.others.copy()
+    to_com = robot.center_of_mass_at(stance)
+    before = stance
+    places = np.zeros((len(q), 2))
     for i, pose in enumerate(course.pelvis):
         R = Rotation.from_rotvec(pose[3:]).as_matrix()
-        before = q[i - 1] if i else stance
-        for side, sole in zip(SIDES, course.soles[:, i], strict=True):
-            legs = _leg_joints(robot, side)
-            q[i, legs] = _leg_angles(robot, side, before, R.T, R.T @ (sole - pose[:3]))
-    spline = CubicSpline(np.arange(len(q)) * _GRID, q)
-    rate = spline.derivative()
-    return lambda t: (spline(t), rate(t))
+        for _ in range(_COM_ITERATIONS):
+            place = np.array([*(pose[:2] - to_com[:2]), pose[2]])
+            for side, sole in zip(SIDES, course.soles[:, i], strict=True):
+                legs = _leg_joints(robot, side)
+                q[i, legs] = _leg_angles(robot, side, before, R.T, R.T @ (sole - place))
+            to_com = R @ robot.center_of_mass_at(q[i])
+            before = q[i]
+        places[i] = place[:2]
+    t = np.arange(len(q)) * _GRID
+    return CubicSpline(t, q), CubicSpline(t, places - places[0])
 
 
 def _leg_joints(robot: Robot, side: str) -> slice:

@@ -67,6 +67,8 @@ def record(
         t = i / RATE - 1  # it settles for a second
         q_reference, v_reference = course.reference(max(t, 0.0))
         tau = course.kp * (q_reference - plant.q) + course.kd * (v_reference - plant.v[BASE:])
+        if course.balance is not None:
+            tau = tau + course.balance(max(t, 0.0), plant.base[0], plant.v[:3])
         state = _state(plant)
         early_half = _steps(plant, tau, _STEPS // 2)
         if t >= 0:

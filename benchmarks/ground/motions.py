@@ -26,6 +26,8 @@ class Motion:
         Of the base at the beginning [m].
     is_held
         True if the base hangs in the air.
+    balance
+        Further torque of the joints, shape (n,) [N m], at a time, a position and a velocity of the base [m, m/s].
     """
 
     reference: Reference
@@ -33,6 +35,7 @@ class Motion:
     kd: Array
     height: float
     is_held: bool = False
+    balance: Callable[[float, Array, Array], Array] | None = None
 
 
 def begins(t: float) -> tuple[float, float]:
