@@ -17,7 +17,7 @@ _AXES = {"roll": np.array([1.0, 0.0, 0.0]), "pitch": np.array([0.0, 1.0, 0.0]), 
 _GEAR = 14.0
 _SOLE = np.array([0.03, 0.0, -0.02])  # m, its middle in the foot
 _HALF_LENGTH, _HALF_WIDTH = 0.09, 0.045  # m, of the sole
-_SOLE_SOFTNESS = Softness(stiffness=1e6, damping=500.0, shear_stiffness=5e5, shear_damping=300.0)
+_SOLE_SOFTNESS = Softness(stiffness=3e5, damping=300.0, shear_stiffness=1.5e5, shear_damping=300.0)
 
 
 class _Link(NamedTuple):
