@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from ground.logs import RATE, Sensors, config_text, record, write_csv
-from ground.robot import JOINTS, prior_quadruped, true_quadruped, urdf_text
+from ground.quadruped import JOINTS, true_quadruped
+from ground.robot import prior_robot, urdf_text
 
 import idtool
 from idtool.api.data import load_experiment
@@ -27,13 +28,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for kind in ("stand", "hang"):
         write_csv(path / f"{kind}.csv", record(TRUTH, kind, seconds=5.0, seed=0))
     (path / "true.urdf").write_text(urdf_text(TRUTH))
-    (path / "prior.urdf").write_text(urdf_text(prior_quadruped(TRUTH, 0)))
+    (path / "prior.urdf").write_text(urdf_text(prior_robot(TRUTH, 0)))
     return path
 
 
 def settings(forces: str, **changes: Any) -> dict[str, Any]:
     """Configuration in which the forces on the feet are ``unknown`` or ``measured``."""
-    content = parse_yaml(Path("quadruped.yaml"), config_text(TRUTH, forces == "measured").encode())
+    content = parse_yaml(Path("quadruped.yaml"), config_text(TRUTH, forces).encode())
     return {**dict(content), **changes}
 
 
