@@ -185,7 +185,7 @@ class Signals:
     ) -> None:
         self.log = log
         self.base_sensors = base_sensors
-        self._wrench_channels = wrench_channels
+        self.wrench_channels = wrench_channels
         self.joints = tuple(joints)
         self.unknown_torque = tuple(j for j, name in enumerate(self.joints) if name in log.unknown_torque)
         self.notices: list[Notice] = []
@@ -348,14 +348,14 @@ class Signals:
             log=self.log.path.name,
             unknown_torque=self.unknown_torque,
         )
-        if self._wrench_channels is None and self.base_sensors is None:
+        if self.wrench_channels is None and self.base_sensors is None:
             return motion
         margin = self._margin
         outer = self.channels.times(slice(part.start - margin, part.stop + margin))
         r = 2 * DIFFERENCE_REACH
         inner = outer[r : len(outer) - r]
-        if self._wrench_channels is not None:
-            wrenches = self._wrench_channels.wrenches(inner, self._smooth)
+        if self.wrench_channels is not None:
+            wrenches = self.wrench_channels.wrenches(inner, self._smooth)
             zero = np.zeros_like(wrenches)
             motion = _with_coordinates(motion, zero, zero, wrenches)
         if self.base_sensors is not None:

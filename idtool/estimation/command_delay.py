@@ -183,7 +183,9 @@ def _with_known_delay(run: Run, config: Config, delay: float) -> Run:
     """A run under a configuration with a delay [s] where there was none."""
     train = tuple(run.signals.delayed_ranges(delay, run.train))
     held_out = tuple(run.signals.delayed_ranges(delay, run.held_out))
-    return Run(Signals(run.signals.log, run.signals.joints, config, run.signals.base_sensors), train, held_out)
+    before = run.signals
+    signals = Signals(before.log, before.joints, config, before.base_sensors, before.wrench_channels)
+    return Run(signals, train, held_out)
 
 
 def command_delay(experiment: Experiment, progress: Progress) -> CommandDelay | None:

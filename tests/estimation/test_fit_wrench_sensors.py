@@ -12,6 +12,7 @@ from sensor_arm import COULOMB, JOINTS, LINKS, SENSOR, urdf_text, write_log
 import idtool
 from idtool.common.exceptions import ConfigError, LogError
 
+KP = 100.0  # N m/rad
 OFFSET = np.array([3.0, -2.0, 5.0, 0.1, 0.2, -0.3])
 TRUE_MASS = {link.name: link.mass for link in LINKS}
 
@@ -100,6 +101,24 @@ def test_joints_without_torque_are_left_out(folder: Path) -> None:
     assert result.bodies["shoulder"].mass == pytest.approx(1.3 * TRUE_MASS["shoulder"], rel=1e-3)
     assert result.rms.train["lift"] == 0.0
     assert "torque_unknown" in [notice.code for notice in result.notices]
+
+
+def test_delay_of_commands_is_fitted_beside_a_sensor(folder: Path) -> None:
+    """Commands that a proportional controller turns into the logged torque at once."""
+    header, *lines = (folder / "arm.csv").read_text().splitlines()
+    table = np.loadtxt(lines, delimiter=",")
+    names = header.split(",")
+    for name in JOINTS:
+        table[:, names.index(f"tau_{name}")] = (
+            table[:, names.index(f"q_{name}")] + table[:, names.index(f"tau_{name}")] / KP
+        )
+    commands = header.replace("tau_", "qcmd_")
+    np.savetxt(folder / "commands.csv", table, fmt="%.9g", delimiter=",", header=commands, comments="")
+    config = settings(offset="none") | {"controller": {"kp": dict.fromkeys(JOINTS, KP)}}
+    result = idtool.fit(idtool.Model(folder / "prior.urdf", config=config), folder / "commands.csv", quick=True)
+    assert result.controller is not None
+    assert result.controller.delay == pytest.approx(0, abs=5e-4)
+    assert np.isfinite(result.rms.validation[f"{SENSOR}_force_x"])
 
 
 def test_diagnosis_names_friction_beside_a_sensor(folder: Path) -> None:

@@ -19,6 +19,7 @@ from idtool.common.notice import Notice
 from idtool.data.base_sensors import BaseSensors
 from idtool.data.logs.log import Channel, JointLog
 from idtool.data.signals import Batch, Signals
+from idtool.data.wrench_channels import WrenchChannels
 from idtool.dynamics.contact_model import ContactModel
 from idtool.robot.config import Config, Contact
 from idtool.robot.inverse_dynamics import inverse_dynamics
@@ -110,7 +111,8 @@ def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[
     """
     always_unknown = tuple(foot.with_unknown_wrench().model_copy(update={"flag": None}) for foot in feet)
     settings = config.model_copy(update={"contacts": always_unknown})
-    signals = Signals(log, model.joint_names, settings, BaseSensors.of_log(log, model, settings))
+    base_sensors = BaseSensors.of_log(log, model, settings)
+    signals = Signals(log, model.joint_names, settings, base_sensors, WrenchChannels.of_log(log, model, settings))
     contact_model = ContactModel(model, always_unknown, noise=np.ones(len(model.joints)))
     times = []
     forces = []

@@ -133,8 +133,8 @@ def _positions(log: JointLog, model: RobotModel, samples: slice) -> Array:
     """Positions of all coordinates, shape (nv, N); those of the base are 0, so that all is along its axes."""
     columns = [log.joints.index(name) for name in model.joint_names]
     of_joints = log.signals["q"][samples][:, columns].T
-    of_base = np.zeros((_BASE, of_joints.shape[1]))
-    return np.concatenate([of_joints, of_base])
+    of_sensors_and_base = np.zeros((len(model.joints) - model.joint_count, of_joints.shape[1]))
+    return np.concatenate([of_joints, of_sensors_and_base])
 
 
 def _feet_jacobian(

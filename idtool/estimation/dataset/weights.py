@@ -89,4 +89,5 @@ def initial_row_noise(model: RobotModel, torque: Array) -> Array:
     force = _GUESSED_SHARE * weight
     typical = float(np.median(torque)) or 1.0
     joints = _GUESSED_SHARE * np.maximum(torque, 0.1 * typical)
-    return np.concatenate([joints, np.full(3, force), np.full(3, force * _GUESSED_ARM)])
+    wrench = np.repeat([force, force * _GUESSED_ARM], 3)
+    return np.concatenate([joints, np.tile(wrench, len(model.wrench_sensors) + 1)])  # the last is the base's
