@@ -65,8 +65,8 @@ class Outcome:
         Relative, of the identified robot and of the URDF.
     com_error
         Distance of the centre of mass from the true one, all joints at zero [m].
-    seconds, peak_memory
-        Wall time [s] and peak memory of the process [MiB].
+    seconds, cpu_seconds, peak_memory
+        Wall time and time on processors [s], and peak memory of the process [MiB].
     held_out
         By kind of motion.
     """
@@ -75,6 +75,7 @@ class Outcome:
     prior_mass_error: float
     com_error: float
     seconds: float
+    cpu_seconds: float
     peak_memory: float
     held_out: Mapping[str, HeldOut]
 
@@ -84,9 +85,9 @@ def outcome_of(folder: Path, robot_name: str, forces: str, seed: int) -> Outcome
     truth = TRUE_ROBOTS[robot_name](seed)
     config = read_config(folder, robot_name, forces)
     logs = [next(folder.glob(f"{kind}.*")) for kind in KINDS]
-    started = time.perf_counter()
+    started, cpu_started = time.perf_counter(), time.process_time()
     result = idtool.fit(idtool.Model(folder / f"{robot_name}.urdf", config=config), logs, quick=True)
-    seconds = time.perf_counter() - started
+    seconds, cpu_seconds = time.perf_counter() - started, time.process_time() - cpu_started
     peak_memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     fitted = folder / f"{forces}_fit"
     result.save(fitted)
@@ -106,6 +107,7 @@ def outcome_of(folder: Path, robot_name: str, forces: str, seed: int) -> Outcome
         prior_mass_error=whole.prior_mass / truth.mass - 1,
         com_error=float(np.linalg.norm(np.asarray(whole.com) - truth.center_of_mass)),
         seconds=seconds,
+        cpu_seconds=cpu_seconds,
         peak_memory=peak_memory,
         held_out=held_out,
     )
@@ -182,8 +184,8 @@ def main() -> None:
             outcome = process.submit(outcome_of, folder, robot_name, forces, options.seed).result()
         print(
             f"{forces}: mass {100 * outcome.mass_error:+.3f} % (prior {100 * outcome.prior_mass_error:+.1f} %), "
-            f"centre of mass off by {1e3 * outcome.com_error:.2f} mm; {outcome.seconds:.0f} s, "
-            f"{outcome.peak_memory:.0f} MiB",
+            f"centre of mass off by {1e3 * outcome.com_error:.2f} mm; {outcome.seconds:.0f} s "
+            f"({outcome.cpu_seconds:.0f} s of CPU), {outcome.peak_memory:.0f} MiB",
             flush=True,
         )
         for kind, errors in outcome.held_out.items():

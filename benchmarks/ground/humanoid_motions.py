@@ -21,7 +21,7 @@ from ground.robot import Array, Robot, rotation_about
 _GRID = 0.01  # s, between samples of a course
 _BEND = 0.06  # m, by which the pelvis is lower than with straight legs
 _HANGING_HEIGHT = 1.3  # m
-_SWAY = np.array([0.01, 0.02, 0.01, 0.04, 0.04, 0.07])  # m and rad, of the pelvis
+_SWAY = np.array([0.01, 0.02, 0.01, 0.07, 0.09, 0.1])  # m and rad, of the pelvis
 _SWAY_OF_STEPS = np.array([0.0, 0.0, 0.006, 0.02, 0.03, 0.04])
 _WAIST = np.array([0.15, 0.05, 0.08])  # rad
 _ARM = np.array([0.3, 0.12, 0.25, 0.3])
