@@ -20,10 +20,11 @@ from typing import Any, Literal
 
 import numpy as np
 import yaml
-from ground.__main__ import KINDS
 from ground.logs import Sensors, record, write_csv
 from ground.plant import Payload, Physics
-from ground.robot import Body, true_quadruped
+from ground.quadruped import true_quadruped
+from ground.robot import Body
+from ground.robots import KINDS
 
 import idtool
 

@@ -1,7 +1,9 @@
-"""Write a quadruped on the ground, its configuration and its logs: ``python benchmarks/ground --out FOLDER``.
+"""Write a robot on the ground, its configuration and its logs: ``python benchmarks/ground --out FOLDER``.
 
-The folder gets the URDF and the configuration that a user would have, logs of standing, trotting and hanging, a second
-log of each for validation, and the true robot. The bodies of the URDF are 10 to 30 % off.
+The folder gets the URDF and the configurations that a user would have, logs of standing, walking and hanging, a second
+log of each for validation, and the true robot. The bodies of the URDF are 10 to 30 % off. In ``quadruped.yaml`` or
+``humanoid.yaml`` the forces on the feet are unknown, in ``measured.yaml`` they are measured, and in ``sensors.yaml``
+wrench sensors in the ankles measure what they transmit.
 """
 
 from __future__ import annotations
@@ -13,16 +15,15 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from ground.logs import config_text, record, write_csv, write_mcap
-from ground.robot import prior_quadruped, true_quadruped, urdf_text
+from ground.logs import CONFIGS, config_text, record, write_csv, write_mcap
+from ground.robot import Robot, prior_robot, urdf_text
+from ground.robots import KINDS, TRUE_ROBOTS
 
-KINDS = ("stand", "walk", "hang")
 _MAX_FALLS = 5
 
 
-def write_logs(folder: Path, kind: str, seconds: float, seed: int, ending: str) -> None:
+def write_logs(folder: Path, truth: Robot, kind: str, seconds: float, seed: int, ending: str) -> None:
     """Write two logs of a kind of motion; another motion is tried if the robot falls."""
-    truth = true_quadruped(seed)
     written = 0
     for motion_seed in range(100 * seed, 100 * seed + 2 + _MAX_FALLS):
         try:
@@ -32,7 +33,7 @@ def write_logs(folder: Path, kind: str, seconds: float, seed: int, ending: str) 
             continue
         written += 1
         path = folder / f"{kind}{written if written > 1 else ''}{ending}"
-        write_csv(path, recording) if ending == ".csv" else write_mcap(path, recording)
+        write_csv(path, recording) if ending == ".csv" else write_mcap(path, truth, recording)
         print(path, flush=True)
         if written == 2:
             return
@@ -40,8 +41,9 @@ def write_logs(folder: Path, kind: str, seconds: float, seed: int, ending: str) 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write the robot and its logs."""
-    parser = argparse.ArgumentParser(description="Write a quadruped on the ground and its logs.")
+    parser = argparse.ArgumentParser(description="Write a robot on the ground and its logs.")
     parser.add_argument("--out", type=Path, required=True, help="folder")
+    parser.add_argument("--robot", choices=list(TRUE_ROBOTS), default="quadruped")
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--seconds", type=float, default=16.0, help="length of each log")
     parser.add_argument("--seed", type=int, default=0)
@@ -49,13 +51,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
 
     options.out.mkdir(parents=True, exist_ok=True)
-    truth = true_quadruped(options.seed)
-    (options.out / "quadruped.urdf").write_text(urdf_text(prior_quadruped(truth, options.seed)))
+    truth = TRUE_ROBOTS[options.robot](options.seed)
+    (options.out / f"{truth.name}.urdf").write_text(urdf_text(prior_robot(truth, options.seed)))
     (options.out / "true.urdf").write_text(urdf_text(truth))
-    (options.out / "quadruped.yaml").write_text(config_text(truth, are_forces_measured=False))
-    (options.out / "measured.yaml").write_text(config_text(truth, are_forces_measured=True))
+    for forces in CONFIGS:
+        if forces == "sensors" and not truth.wrench_sensors:
+            continue
+        name = truth.name if forces == "unknown" else forces
+        (options.out / f"{name}.yaml").write_text(config_text(truth, forces))
+    ending = ".mcap" if options.mcap else ".csv"
     for kind in options.kinds.split(","):
-        write_logs(options.out, kind, options.seconds, options.seed, ".mcap" if options.mcap else ".csv")
+        write_logs(options.out, truth, kind, options.seconds, options.seed, ending)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Logs of the quadruped in motion, and the configuration for them."""
+"""Logs of a robot in motion, and the configuration for them."""
 
 from __future__ import annotations
 
@@ -11,25 +11,16 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from ground.motions import motion
 from ground.plant import BASE, Physics, Plant
-from ground.robot import (
-    FEET,
-    FOOT_RADIUS,
-    GEAR,
-    IMU_POSITION,
-    IMU_TURN,
-    JOINTS,
-    Array,
-    Quadruped,
-    mounts,
-    rotor,
-)
+from ground.robot import Array, Robot
+from ground.robots import motion
 
 RATE = 1000  # samples a second
 _STEPS = 4  # of the simulation for each sample
-_FALLEN = 0.15  # m, height of the trunk
 _CLOSED = 4.0  # N: normal force from which a foot's flag is set
+_FORCE_PARTS, _MOMENT_PARTS = ("x", "y", "z"), ("mx", "my", "mz")
+
+CONFIGS = ("unknown", "measured", "sensors")  # forces on the feet, see `config_text`
 
 
 @dataclass(frozen=True)
@@ -43,6 +34,7 @@ class Sensors:
     accelerometer: float = 0.04  # m/s^2
     orientation: float = 5e-4  # rad
     force: float = 0.5  # N
+    moment: float = 0.02  # N m
     imu_delay: float = 0.0
     torque_delay: float = 0.0
 
@@ -55,7 +47,7 @@ class Recording:
 
 
 def record(
-    robot: Quadruped,
+    robot: Robot,
     kind: str,
     seconds: float,
     seed: int,
@@ -64,73 +56,79 @@ def record(
 ) -> Recording:
     """Recording of a motion; RuntimeError if the robot falls."""
     sensors = sensors or Sensors()
-    course = motion(kind, seed)
+    course = motion(robot, kind, seconds, seed)
     physics = replace(physics or Physics(), is_held=course.is_held)
     q_first, _ = course.reference(0.0)
     dt = 1 / RATE / _STEPS
     plant = Plant(robot, physics, dt, q_first, course.height)
     rows = []
-    late_half = _Impulse.none()  # of the last sample time
+    late_half = _HalfSample.at_rest(plant)  # of the last sample time
     for i in range(round((seconds + 1) * RATE)):
         t = i / RATE - 1  # it settles for a second
         q_reference, v_reference = course.reference(max(t, 0.0))
         tau = course.kp * (q_reference - plant.q) + course.kd * (v_reference - plant.v[BASE:])
+        if course.balance is not None:
+            tau = tau + course.balance(max(t, 0.0), plant.base[0], plant.v[:3])
         state = _state(plant)
         early_half = _steps(plant, tau, _STEPS // 2)
         if t >= 0:
             rows.append({**state, **early_half.mean_with(late_half)})
         late_half = _steps(plant, tau, _STEPS // 2)
-        if not course.is_held and plant.trunk[0][2] < _FALLEN:
+        if not course.is_held and plant.base[0][2] < robot.fallen_height:
             raise RuntimeError(f"the robot fell after {t:.1f} s")
-    return _measured({key: np.array([row[key] for row in rows]) for key in rows[0]}, sensors, seed)
+    return _measured(robot, {key: np.array([row[key] for row in rows]) for key in rows[0]}, sensors, seed)
 
 
 @dataclass(frozen=True)
-class _Impulse:
-    """Means over half a sample time: accelerations, forces on the feet, torques of the motors.
+class _HalfSample:
+    """Means over half a sample time: accelerations, wrenches on the feet and of the sensors, torques of the motors.
 
     Sensors average over a sample time: a foot's impact is shorter, and would be aliased.
     """
 
     acceleration: Array
-    forces: Array
+    wrenches: Array
+    sensor_wrenches: Array
     tau: Array
 
-    @staticmethod
-    def none() -> _Impulse:
+    @classmethod
+    def at_rest(cls, plant: Plant) -> _HalfSample:
         """Those of a robot that does not move, with which the recording does not begin."""
-        return _Impulse(np.zeros(BASE + len(JOINTS)), np.zeros((len(FEET), 3)), np.zeros(len(JOINTS)))
+        wrenches, sensor_wrenches = np.zeros_like(plant.wrenches), np.zeros_like(plant.sensor_wrenches)
+        return cls(np.zeros_like(plant.v), wrenches, sensor_wrenches, np.zeros_like(plant.q))
 
-    def mean_with(self, other: _Impulse) -> dict[str, Array]:
+    def mean_with(self, other: _HalfSample) -> dict[str, Array]:
         """Means over both halves, by name."""
         own, others = vars(self), vars(other)
         return {name: (own[name] + others[name]) / 2 for name in own}
 
 
-def _steps(plant: Plant, tau: Array, count: int) -> _Impulse:
+def _steps(plant: Plant, tau: Array, count: int) -> _HalfSample:
     """Take steps under constant torque."""
-    accelerations, forces = [], []
+    accelerations, wrenches, sensor_wrenches = [], [], []
     for _ in range(count):
         plant.step(tau)
         accelerations.append(plant.acceleration.copy())
-        forces.append(plant.forces.copy())
-    return _Impulse(np.mean(accelerations, axis=0), np.mean(forces, axis=0), tau)
+        wrenches.append(plant.wrenches.copy())
+        sensor_wrenches.append(plant.sensor_wrenches.copy())
+    return _HalfSample(*(np.mean(values, axis=0) for values in (accelerations, wrenches, sensor_wrenches)), tau)
 
 
 def _state(plant: Plant) -> dict[str, Any]:
-    position, R = plant.trunk
+    position, R = plant.base
     return {"q": plant.q.copy(), "v": plant.v.copy(), "position": position, "R": R}
 
 
-def _measured(states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recording:
+def _measured(robot: Robot, states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recording:
     """What the sensors give of the true states."""
     rng = np.random.default_rng([seed, 4])
     count = len(states["q"])
     R, w = states["R"], states["v"][:, 3:BASE]
     at_origin = np.einsum("nji,nj->ni", R, states["acceleration"][:, :3] + [0.0, 0.0, 9.81])
     angular = states["acceleration"][:, 3:BASE]
-    at_imu = at_origin + np.cross(angular, IMU_POSITION) + np.cross(w, np.cross(w, IMU_POSITION))
-    turn = Rotation.from_euler("z", IMU_TURN)
+    lever = robot.imu.position
+    at_imu = at_origin + np.cross(angular, lever) + np.cross(w, np.cross(w, lever))
+    turn = Rotation.from_euler("z", robot.imu.turn)
     to_imu = turn.as_matrix().T
     orientation = (
         Rotation.from_matrix(R) * turn * Rotation.from_rotvec(sensors.orientation * rng.normal(size=(count, 3)))
@@ -138,7 +136,7 @@ def _measured(states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recor
     quaternion = orientation.as_quat()
     columns: dict[str, Array] = {"t": np.arange(count) / RATE}
     late = round(sensors.torque_delay * RATE)
-    for j, name in enumerate(JOINTS):
+    for j, name in enumerate(robot.joints):
         columns[f"q_{name}"] = states["q"][:, j] + sensors.q * rng.normal(size=count)
         columns[f"v_{name}"] = states["v"][:, BASE + j] + sensors.v * rng.normal(size=count)
         torque = np.concatenate([np.repeat(states["tau"][:1, j], late), states["tau"][: count - late, j]])
@@ -153,13 +151,27 @@ def _measured(states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recor
             columns[f"imu_{letter}{axis}"] = _late(values[:, k], imu_late)
     for k, part in enumerate("xyzw"):
         columns[f"imu_q{part}"] = _late(quaternion[:, k], imu_late)
-    for k, foot in enumerate(FEET):
-        force = states["forces"][:, k]
-        columns[f"contact_{foot}"] = (force[:, 2] > _CLOSED).astype(float)
-        for i, axis in enumerate("xyz"):
-            columns[f"force_{foot}_{axis}"] = force[:, i] + sensors.force * rng.normal(size=count)
-    columns["contact_rope"] = np.full(count, float(np.all(states["forces"] == 0)))
+    for k, foot in enumerate(robot.feet):
+        wrench = states["wrenches"][:, k]
+        columns[f"contact_{foot.name}"] = (wrench[:, 2] > _CLOSED).astype(float)
+        columns |= _wrench_columns(foot.name, wrench if foot.is_sole else wrench[:, :3], sensors, rng)
+    for k, (joint, offset) in enumerate(robot.wrench_sensors.items()):
+        columns |= _wrench_columns(joint, states["sensor_wrenches"][:, k] + offset, sensors, rng)
+    columns["contact_rope"] = np.full(count, float(np.all(states["wrenches"] == 0)))
     return Recording(columns)
+
+
+def _wrench_columns(name: str, wrench: Array, sensors: Sensors, rng: np.random.Generator) -> dict[str, Array]:
+    """Noisy channels of a force, shape (N, 3), or of a force and a moment, shape (N, 6)."""
+    noise = np.repeat([sensors.force, sensors.moment], 3)
+    columns = {}
+    for channel, values, sigma in zip(_wrench_channels(name), wrench.T, noise, strict=False):
+        columns[channel] = values + sigma * rng.normal(size=len(values))
+    return columns
+
+
+def _wrench_channels(name: str) -> list[str]:
+    return [f"force_{name}_{part}" for part in (*_FORCE_PARTS, *_MOMENT_PARTS)]
 
 
 def _late(x: Array, samples: int) -> Array:
@@ -172,26 +184,38 @@ def write_csv(path: Path, recording: Recording) -> None:
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(recording.columns), comments="")
 
 
-def config_text(robot: Quadruped, are_forces_measured: bool) -> str:
-    """Configuration: floating base, contacts, rotors by data sheet, bounds of the links."""
+def config_text(robot: Robot, forces: str = "unknown") -> str:
+    """Configuration: floating base, contacts, rotors by data sheet, bounds of the links.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    forces
+        Of the ground on the feet: ``unknown``, ``measured``, or ``sensors``: unknown, with the robot's wrench sensors.
+    """
     contacts: list[dict[str, Any]] = []
-    for foot in FEET:
-        contact: dict[str, Any] = {"name": foot, "link": foot, "kind": "point", "radius": FOOT_RADIUS}
-        if are_forces_measured:
-            contact["force"] = [f"force_{foot}_{axis}" for axis in "xyz"]
+    for foot in robot.feet:
+        contact: dict[str, Any] = {"name": foot.name, "link": foot.name, "kind": "surface" if foot.is_sole else "point"}
+        if not foot.is_sole:
+            contact["radius"] = foot.radius
+        if forces != "measured":
+            contact["flag"] = f"contact_{foot.name}"
         else:
-            contact["flag"] = f"contact_{foot}"
+            channels = _wrench_channels(foot.name)
+            contact["force"] = channels[:3]
+            if foot.is_sole:
+                contact |= {"frame": "link", "moment": channels[3:]}
         contacts.append(contact)
-    contacts.append({"name": "rope", "link": "trunk", "kind": "surface", "flag": "contact_rope"})
+    contacts.append({"name": "rope", "link": robot.base, "kind": "surface", "flag": "contact_rope"})
     ellipsoids = {}
     for name, body in robot.links.items():
         ellipsoids[name] = [{"center": body.center.tolist(), "semi_axes": body.semi_axes.tolist()}]
     rotors = {}
-    for name, mount in mounts().items():
-        body = rotor(mount.axis)
+    for name, body in robot.rotors.items():
         rotors[f"{name}_rotor"] = {
             "joint": name,
-            "gear_ratio": GEAR,
+            "gear_ratio": robot.gear,
             "inertial": {
                 "mass": body.mass,
                 "com": [0.0, 0.0, 0.0],
@@ -199,17 +223,19 @@ def config_text(robot: Quadruped, are_forces_measured: bool) -> str:
             },
             "bounding_ellipsoid": {"center": [0.0, 0.0, 0.0], "semi_axes": body.semi_axes.tolist()},
         }
-    content = {
-        "base": {"kind": "floating", "link": "trunk", "imu": {"link": "imu_link"}},
+    content: dict[str, Any] = {
+        "base": {"kind": "floating", "link": robot.base, "imu": {"link": "imu_link"}},
         "contacts": contacts,
         "bounding_ellipsoids": ellipsoids,
         "rotors": rotors,
     }
+    if forces == "sensors":
+        content["wrench_sensors"] = [{"joint": joint} for joint in robot.wrench_sensors]
     return yaml.safe_dump(content, sort_keys=False)
 
 
-def write_mcap(path: Path, recording: Recording, imu_topics: Sequence[str] = ("/imu",)) -> None:
-    """Write a recording as ROS 2 messages: joint states, IMU at half their rate, and flags and forces of the feet."""
+def write_mcap(path: Path, robot: Robot, recording: Recording, imu_topics: Sequence[str] = ("/imu",)) -> None:
+    """Write a recording as ROS 2 messages: joint states, IMU at half their rate, flags of the feet, and wrenches."""
     from mcap_ros2.writer import Writer
 
     columns = recording.columns
@@ -226,10 +252,10 @@ def write_mcap(path: Path, recording: Recording, imu_topics: Sequence[str] = ("/
                     "sensor_msgs/msg/JointState",
                     {
                         "header": header,
-                        "name": list(JOINTS),
-                        "position": [columns[f"q_{joint}"][i] for joint in JOINTS],
-                        "velocity": [columns[f"v_{joint}"][i] for joint in JOINTS],
-                        "effort": [columns[f"tau_{joint}"][i] for joint in JOINTS],
+                        "name": list(robot.joints),
+                        "position": [columns[f"q_{joint}"][i] for joint in robot.joints],
+                        "velocity": [columns[f"v_{joint}"][i] for joint in robot.joints],
+                        "effort": [columns[f"tau_{joint}"][i] for joint in robot.joints],
                     },
                 )
             ]
@@ -241,12 +267,14 @@ def write_mcap(path: Path, recording: Recording, imu_topics: Sequence[str] = ("/
                     "linear_acceleration": {axis: columns[f"imu_a{axis}"][i] for axis in "xyz"},
                 }
                 messages += [(topic, "sensor_msgs/msg/Imu", imu) for topic in imu_topics]
-            for foot in FEET:
-                force = {axis: columns[f"force_{foot}_{axis}"][i] for axis in "xyz"}
-                flag = {"data": bool(columns[f"contact_{foot}"][i])}
-                wrench = {"header": header, "wrench": {"force": force, "torque": {}}}
-                messages.append((f"/contact/{foot}", "std_msgs/msg/Bool", flag))
-                messages.append((f"/force/{foot}", "geometry_msgs/msg/WrenchStamped", wrench))
+            for name in (*(foot.name for foot in robot.feet), *robot.wrench_sensors):
+                if f"contact_{name}" in columns:
+                    flag = {"data": bool(columns[f"contact_{name}"][i])}
+                    messages.append((f"/contact/{name}", "std_msgs/msg/Bool", flag))
+                values = [columns[channel][i] for channel in _wrench_channels(name) if channel in columns]
+                force, torque = (dict(zip("xyz", part, strict=False)) for part in (values[:3], values[3:]))
+                wrench = {"header": header, "wrench": {"force": force, "torque": torque}}
+                messages.append((f"/force/{name}", "geometry_msgs/msg/WrenchStamped", wrench))
             if i == 0:
                 messages.append(("/contact/rope", "std_msgs/msg/Bool", {"data": bool(columns["contact_rope"][0])}))
             for topic, name, message in messages:

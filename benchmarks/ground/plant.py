@@ -1,6 +1,6 @@
-"""A quadruped in motion: mass matrix and bias from MuJoCo, soft feet with sticking friction, spinning rotors.
+"""A robot in motion: mass matrix and bias from MuJoCo, soft feet with sticking friction, spinning rotors.
 
-Coordinates: the trunk's six, as MuJoCo has them, then the joints. Rotors are bodies of their own on hinges that turn
+Coordinates: the base's six, as MuJoCo has them, then the joints. Rotors are bodies of their own on hinges that turn
 with the joints by the gear ratio. Each step is semi-implicit Euler's; dry friction determines the velocity after it.
 """
 
@@ -12,15 +12,11 @@ import mujoco  # type: ignore[import-untyped]
 import numpy as np
 from hidden_effects.friction import velocity_with_dry_friction
 
-from ground.robot import FEET, FOOT_RADIUS, GEAR, JOINTS, LEGS, Array, Body, Quadruped, foot_position, mounts
+from ground.robot import Array, Body, Foot, Robot
 
-BASE = 6  # coordinates of the trunk
+BASE = 6  # coordinates of the base
 
-_STIFFNESS = 3e4  # N/m, of a foot
-_DAMPING = 120.0  # N s/m
-_SHEAR_STIFFNESS = 2e4  # N/m
-_SHEAR_DAMPING = 80.0  # N s/m
-_HOLD = np.array([4e3, 4e3, 4e3, 400.0, 400.0, 400.0])  # N/m, N m/rad, of the rope that holds a hanging trunk
+_HOLD = np.array([4e3, 4e3, 4e3, 400.0, 400.0, 400.0])  # N/m, N m/rad, of the rope that holds a hanging base
 _HOLD_DAMPING = np.array([120.0, 120.0, 120.0, 12.0, 12.0, 12.0])
 
 
@@ -34,14 +30,14 @@ class Payload:
 
 @dataclass
 class Physics:
-    """What differs from the quadruped on level ground.
+    """What differs from the robot on level ground.
 
     Attributes
     ----------
     friction_coefficient
         Of the feet on the ground.
     is_held
-        True if the trunk hangs in the air.
+        True if the base hangs in the air.
     payloads
         Further bodies.
     """
@@ -52,7 +48,7 @@ class Physics:
 
 
 class Plant:
-    """The quadruped in motion.
+    """The robot in motion.
 
     Parameters
     ----------
@@ -63,62 +59,65 @@ class Plant:
     step
         Time step [s].
     q
-        First positions of the joints, shape (12,).
+        First positions of the n joints, shape (n,).
     height
-        First height of the trunk [m].
+        First height of the base [m].
 
     Attributes
     ----------
-    forces
-        Force of the ground on each foot along the world's axes, shape (4, 3) [N].
+    wrenches
+        Force and moment of the ground on each foot, shape (feet, 6) [N, N m]: on a ball along the world's axes, on a
+        sole along and about its own.
+    sensor_wrenches
+        Force and moment on the child link of each joint with a wrench sensor, along and about its axes, shape
+        (sensors, 6) [N, N m].
     """
 
-    def __init__(self, robot: Quadruped, physics: Physics, step: float, q: Array, height: float) -> None:
+    def __init__(self, robot: Robot, physics: Physics, step: float, q: Array, height: float) -> None:
         self._physics = physics
         self._step = step
         self._robot = robot
         self.model = _model(robot, physics)
         self.data = mujoco.MjData(self.model)
-        joints = [self.model.joint(name) for name in JOINTS]
-        rotors = [self.model.joint(f"{name}_rotor") for name in JOINTS]
+        joints = [self.model.joint(name) for name in robot.joints]
+        rotors = [self.model.joint(f"{name}_rotor") for name in robot.joints]
         self._joint_qpos = np.array([joint.qposadr[0] for joint in joints])
         self._joint_dofs = np.array([joint.dofadr[0] for joint in joints])
         self._rotor_qpos = np.array([joint.qposadr[0] for joint in rotors])
-        self._feet = np.array([self.model.site(foot).id for foot in FEET])
-        self._calves = np.array([self.model.body(f"{leg}_calf").id for leg in LEGS])
-        self.G = np.zeros((self.model.nv, BASE + len(JOINTS)))
+        self._balls = [[_Ball(self.model, foot, k) for k in range(len(foot.corners))] for foot in robot.feet]
+        self.G = np.zeros((self.model.nv, BASE + len(joints)))
         self.G[:BASE, :BASE] = np.eye(BASE)
-        self.G[self._joint_dofs, np.arange(BASE, BASE + len(JOINTS))] = 1.0
+        self.G[self._joint_dofs, np.arange(BASE, BASE + len(joints))] = 1.0
         for j, joint in enumerate(rotors):
-            self.G[joint.dofadr[0], BASE + j] = GEAR
+            self.G[joint.dofadr[0], BASE + j] = robot.gear
         self.data.qpos[:7] = [0, 0, height, 1, 0, 0, 0]
         self._set_joints(q)
-        self.v = np.zeros(BASE + len(JOINTS))
+        self.v = np.zeros(BASE + len(joints))
         self._height = height
-        self._anchors = np.full((len(FEET), 2), np.nan)
-        self.forces = np.zeros((len(FEET), 3))
+        self.wrenches = np.zeros((len(robot.feet), 6))
+        self.sensor_wrenches = np.zeros((len(robot.wrench_sensors), 6))
         self._M = np.zeros((self.model.nv, self.model.nv))
         self._bias = np.zeros(self.model.nv)
-        self.acceleration = np.zeros(BASE + len(JOINTS))
+        self.acceleration = np.zeros(BASE + len(joints))
 
     @property
     def q(self) -> Array:
-        """Positions of the joints, shape (12,)."""
+        """Positions of the joints, shape (n,)."""
         return np.asarray(self.data.qpos[self._joint_qpos])
 
     @property
-    def trunk(self) -> tuple[Array, Array]:
-        """Position of the trunk [m] and its rotation to the world, shape (3, 3)."""
+    def base(self) -> tuple[Array, Array]:
+        """Position of the base [m] and its rotation to the world, shape (3, 3)."""
         R = np.zeros(9)
         mujoco.mju_quat2Mat(R, self.data.qpos[3:7])
         return np.array(self.data.qpos[:3]), R.reshape(3, 3)
 
     def _set_joints(self, q: Array) -> None:
         self.data.qpos[self._joint_qpos] = q
-        self.data.qpos[self._rotor_qpos] = GEAR * q
+        self.data.qpos[self._rotor_qpos] = self._robot.gear * q
 
     def step(self, tau: Array) -> None:
-        """Take one step under the motors' torque, shape (12,)."""
+        """Take one step under the motors' torque, shape (n,)."""
         model, data, dt = self.model, self.data, self._step
         data.qvel[:] = self.G @ self.v
         mujoco.mj_fwdPosition(model, data)
@@ -126,8 +125,7 @@ class Plant:
         mujoco.mj_rne(model, data, 0, self._bias)
         mujoco.mj_fullM(model, data, self._M)
         force = -self._bias
-        for foot in range(len(FEET)):
-            self._push_foot(foot, force)
+        self._push_feet(force)
         generalized = self.G.T @ force
         if self._physics.is_held:
             generalized[:BASE] += self._hold()
@@ -137,62 +135,130 @@ class Plant:
         largest = np.concatenate([np.zeros(BASE), dt * self._robot.coulomb])
         v = velocity_with_dry_friction(M_inverse, v_free, largest, self.v)
         self.acceleration = (v - self.v) / dt
+        if len(self.sensor_wrenches):
+            self._read_sensors()
         self.v = v
         mujoco.mj_integratePos(model, data.qpos, self.G @ v, dt)
         self._set_joints(self.q)
 
-    def _push_foot(self, foot: int, force: Array) -> None:
-        """Add the force of the ground on a foot to the forces on all coordinates."""
-        center = self.data.site_xpos[self._feet[foot]]
-        velocity = np.zeros(6)
-        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_SITE, self._feet[foot], velocity, 0)
-        point = np.array([center[0], center[1], 0.0])
-        at_point = velocity[3:] + np.cross(velocity[:3], point - center)
-        depth = FOOT_RADIUS - center[2]
-        self.forces[foot] = 0.0
-        if depth <= 0:
-            self._anchors[foot] = np.nan
-            return
-        normal = max(_STIFFNESS * depth - _DAMPING * at_point[2], 0.0)
-        if np.isnan(self._anchors[foot]).any():
-            self._anchors[foot] = point[:2]
-        # a ball rolls: the point of contact moves over the ground by more than it slips
-        self._anchors[foot] += self._step * (velocity[3:5] - at_point[:2])
-        shear = -_SHEAR_STIFFNESS * (point[:2] - self._anchors[foot]) - _SHEAR_DAMPING * at_point[:2]
-        largest = self._physics.friction_coefficient * normal
-        size = np.linalg.norm(shear)
-        if size > largest:
-            shear *= largest / size
-            self._anchors[foot] = point[:2] + shear / _SHEAR_STIFFNESS
-        self.forces[foot] = [*shear, normal]
-        mujoco.mj_applyFT(self.model, self.data, self.forces[foot], np.zeros(3), point, self._calves[foot], force)
+    def _push_feet(self, force: Array) -> None:
+        """Add the forces of the ground on all feet to the forces on all coordinates."""
+        self.wrenches[:] = 0.0
+        self.data.xfrc_applied[:] = 0.0
+        for foot, wrench, balls in zip(self._robot.feet, self.wrenches, self._balls, strict=True):
+            site = self.data.site(foot.name)
+            R = site.xmat.reshape(3, 3) if foot.is_sole else np.eye(3)
+            for ball in balls:
+                contact = ball.touch(self.model, self.data, self._physics.friction_coefficient, self._step)
+                if contact is None:
+                    continue
+                point, push = contact
+                mujoco.mj_applyFT(self.model, self.data, push, np.zeros(3), point, ball.body, force)
+                about_com = _cross(point - self.data.xipos[ball.body], push)
+                self.data.xfrc_applied[ball.body] += [*push, *about_com]
+                wrench[:3] += R.T @ push
+                if foot.is_sole:
+                    wrench[3:] += R.T @ _cross(point - site.xpos, push)
+
+    def _read_sensors(self) -> None:
+        """Read MuJoCo's sensors of force and moment at this step's accelerations."""
+        self.data.qacc[:] = self.G @ self.acceleration
+        mujoco.mj_rnePostConstraint(self.model, self.data)
+        mujoco.mj_sensorAcc(self.model, self.data)
+        self.sensor_wrenches = self.data.sensordata.reshape(self.sensor_wrenches.shape).copy()
 
     def _hold(self) -> Array:
-        """Force and moment of what holds the trunk, in MuJoCo's coordinates of a free joint."""
-        position, _ = self.trunk
+        """Force and moment of what holds the base, in MuJoCo's coordinates of a free joint."""
+        position, _ = self.base
         rotation = np.zeros(3)
         mujoco.mju_quat2Vel(rotation, self.data.qpos[3:7], 1.0)
         error = np.concatenate([position - [0, 0, self._height], rotation])
         return -_HOLD * error - _HOLD_DAMPING * self.v[:BASE]
 
 
-def _model(robot: Quadruped, physics: Physics) -> mujoco.MjModel:
+class _Ball:
+    """A soft ball of a foot, which sticks to the ground where it first touches it.
+
+    Parameters
+    ----------
+    model
+        In MuJoCo.
+    foot
+        The foot.
+    corner
+        Number of the ball.
+    """
+
+    def __init__(self, model: mujoco.MjModel, foot: Foot, corner: int) -> None:
+        self._softness, self._radius = foot.softness, foot.radius
+        self._site = model.site(_ball_name(foot, corner)).id
+        self.body = model.body(foot.link).id
+        self._anchor = np.full(2, np.nan)
+
+    def touch(
+        self, model: mujoco.MjModel, data: mujoco.MjData, friction_coefficient: float, dt: float
+    ) -> tuple[Array, Array] | None:
+        """Where the ground pushes it [m], and the force [N]; None in the air."""
+        softness = self._softness
+        center = data.site_xpos[self._site]
+        depth = self._radius - center[2]
+        if depth <= 0:
+            self._anchor[:] = np.nan
+            return None
+        velocity = np.zeros(6)
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, self._site, velocity, 0)
+        point = np.array([center[0], center[1], 0.0])
+        at_point = velocity[3:] + _cross(velocity[:3], point - center)
+        normal = max(softness.stiffness * depth - softness.damping * at_point[2], 0.0)
+        if np.isnan(self._anchor).any():
+            self._anchor = point[:2]
+        # a ball rolls: the point of contact moves over the ground by more than it slips
+        self._anchor = self._anchor + dt * (velocity[3:5] - at_point[:2])
+        shear = -softness.shear_stiffness * (point[:2] - self._anchor) - softness.shear_damping * at_point[:2]
+        largest = friction_coefficient * normal
+        size = np.linalg.norm(shear)
+        if size > largest:
+            shear *= largest / size
+            self._anchor = point[:2] + shear / softness.shear_stiffness
+        return point, np.array([*shear, normal])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross product of two vectors; NumPy's takes ten times as long."""
+    (x, y, z), (u, v, w) = a, b
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
+def _ball_name(foot: Foot, corner: int) -> str:
+    return f"{foot.name}_ball{corner}"
+
+
+def _model(robot: Robot, physics: Physics) -> mujoco.MjModel:
     """The bodies on a free joint."""
     spec = mujoco.MjSpec()
     spec.option.gravity = (0.0, 0.0, -9.81)
-    bodies = {"trunk": spec.worldbody.add_body(name="trunk")}
-    bodies["trunk"].add_freejoint()
-    for name, mount in mounts().items():
+    bodies = {robot.base: spec.worldbody.add_body(name=robot.base)}
+    bodies[robot.base].add_freejoint()
+    for name, mount in robot.mounts.items():
         parent = bodies[mount.parent]
-        rotor_body = parent.add_body(name=f"{name}_rotor", pos=mount.position)
-        _set_inertia(rotor_body, robot.rotors[name])
-        rotor_body.add_joint(name=f"{name}_rotor", type=mujoco.mjtJoint.mjJNT_HINGE, axis=mount.axis)
+        if mount.axis is not None:
+            rotor_body = parent.add_body(name=f"{name}_rotor", pos=mount.position)
+            _set_inertia(rotor_body, robot.rotors[name])
+            rotor_body.add_joint(name=f"{name}_rotor", type=mujoco.mjtJoint.mjJNT_HINGE, axis=mount.axis)
         bodies[mount.child] = parent.add_body(name=mount.child, pos=mount.position)
-        bodies[mount.child].add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=mount.axis)
+        if mount.axis is not None:
+            bodies[mount.child].add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=mount.axis)
     for name, body in robot.links.items():
         _set_inertia(bodies[name], body)
-    for leg, foot in zip(LEGS, FEET, strict=True):
-        bodies[f"{leg}_calf"].add_site(name=foot, pos=foot_position())
+    for foot in robot.feet:
+        bodies[foot.link].add_site(name=foot.name, pos=foot.position)
+        for k, corner in enumerate(foot.corners):
+            bodies[foot.link].add_site(name=_ball_name(foot, k), pos=foot.position + corner)
+    for joint in robot.wrench_sensors:
+        bodies[robot.mounts[joint].child].add_site(name=joint)
+        for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
+            name = f"{joint}_{kind.name}"
+            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=joint)
     for k, payload in enumerate(physics.payloads):
         _set_inertia(bodies[payload.link].add_body(name=f"payload{k}"), payload.body)
     return spec.compile()

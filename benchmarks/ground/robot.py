@@ -1,6 +1,7 @@
-"""A quadruped with twelve joints: its true bodies, and the URDF and configuration that a user would have.
+"""Description of a robot on the ground: bodies, joints, feet and sensors, and the URDF that a user would have.
 
-Letters: com centre of mass [m]; inertia about it [kg m^2]; gear: turns of the rotor per turn of the joint.
+Letters: com centre of mass [m]; inertia about it [kg m^2]; gear: turns of the rotor per turn of the joint; q positions
+of the joints, shape (n,).
 """
 
 from __future__ import annotations
@@ -12,19 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-
-LEGS = ("FL", "FR", "RL", "RR")
-PARTS = ("hip", "thigh", "calf")
-JOINTS = tuple(f"{leg}_{part}_joint" for leg in LEGS for part in PARTS)
-FEET = tuple(f"{leg}_foot" for leg in LEGS)
-FOOT_RADIUS = 0.022  # m
-GEAR = 8.0
-IMU_POSITION = np.array([0.06, -0.025, 0.04])  # m
-IMU_TURN = 0.3  # rad, about z
-
-_HIP = np.array([0.19, 0.05, 0.0])  # m, of the left front leg
-_THIGH_OFFSET = 0.08  # m
-_THIGH = _CALF = 0.21  # m
 
 
 @dataclass(frozen=True)
@@ -44,15 +32,131 @@ class Body:
         inertia = np.diag(mass / 5 * (squares.sum() - squares))
         return cls(mass, center, inertia, center, semi_axes)
 
+    @classmethod
+    def rotor(cls, axis: Array, mass: float, axial: float, transverse: float) -> Body:
+        """A balanced rotor with moments of inertia about its axis and across it."""
+        along = np.outer(axis, axis)
+        inertia = axial * along + transverse * (np.eye(3) - along)
+        return cls(mass, np.zeros(3), inertia, np.zeros(3), np.full(3, 0.05))
+
+    def perturbed(self, spread: float, rng: np.random.Generator) -> Body:
+        """A body inside the same ellipsoid with another mass, centre of mass and inertia."""
+        sign = rng.choice([-1.0, 1.0])
+        mass = self.mass * (1 + sign * rng.uniform(spread / 3, spread))
+        com = self.com + 0.15 * spread * self.semi_axes * rng.uniform(-1, 1, 3)
+        scale = np.diag(np.sqrt(1 + spread * rng.uniform(-0.5, 0.0, 3)))
+        return replace(self, mass=mass, com=com, inertia=scale @ self.inertia @ scale * mass / self.mass)
+
 
 @dataclass(frozen=True)
-class Quadruped:
-    """Bodies by link, rotors by joint, and friction of every joint, shape (12,) [N m s/rad, N m]."""
+class Mount:
+    """A joint: the link that carries it, its position there at zero [m], and its axis; None: it is fixed."""
 
+    parent: str
+    child: str
+    position: Array
+    axis: Array | None = None
+
+
+@dataclass(frozen=True)
+class Softness:
+    """Stiffness [N/m] and damping [N s/m] of a ball on the ground, across the ground and along it."""
+
+    stiffness: float = 3e4
+    damping: float = 120.0
+    shear_stiffness: float = 2e4
+    shear_damping: float = 80.0
+
+
+@dataclass(frozen=True)
+class Foot:
+    """A foot, which touches the ground with soft balls.
+
+    Attributes
+    ----------
+    name
+        Of the contact, and of the URDF's link at its place.
+    link
+        Body that it belongs to.
+    position
+        Its place in the body [m].
+    corners
+        Centres of the balls from there, shape (k, 3) [m]. With one ball the ground exerts a force, with more a moment
+        too.
+    radius
+        Of the balls [m].
+    softness
+        Of each ball.
+    """
+
+    name: str
+    link: str
+    position: Array
+    corners: Array
+    radius: float
+    softness: Softness
+
+    @property
+    def is_sole(self) -> bool:
+        """True if the ground exerts a moment on it."""
+        return len(self.corners) > 1
+
+
+@dataclass(frozen=True)
+class Imu:
+    """Place of the IMU in the base [m], and its angle about z [rad]."""
+
+    position: Array
+    turn: float
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot on a floating base.
+
+    Attributes
+    ----------
+    name
+        Of the URDF.
+    links
+        Bodies by link; the first is the base.
+    mounts
+        All joints by name, parents before children.
+    rotors
+        By joint that moves.
+    gear
+        Of all rotors.
+    feet, imu
+        What touches the ground, and the IMU on the base.
+    viscous, coulomb
+        Friction of every joint that moves, shape (n,) [N m s/rad, N m].
+    wrench_sensors
+        Reading without load of the sensor in a fixed joint, shape (6,) [N, N m].
+    fallen_height
+        Height of the base below which the robot has fallen [m].
+    """
+
+    name: str
     links: Mapping[str, Body]
+    mounts: Mapping[str, Mount]
     rotors: Mapping[str, Body]
+    gear: float
+    feet: tuple[Foot, ...]
+    imu: Imu
     viscous: Array
     coulomb: Array
+    wrench_sensors: Mapping[str, Array]
+    fallen_height: float
+
+    @property
+    def base(self) -> str:
+        """The link that floats."""
+        return next(iter(self.links))
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints that move."""
+        return tuple(self.rotors)
 
     @property
     def mass(self) -> float:
@@ -61,100 +165,63 @@ class Quadruped:
 
     @property
     def center_of_mass(self) -> Array:
-        """Centre of mass of the whole robot in the trunk, all joints at zero [m]."""
-        places = {"trunk": np.zeros(3)}
+        """Centre of mass of the whole robot in the base, all joints at zero [m]."""
+        return self.center_of_mass_at(np.zeros(len(self.joints)))
+
+    def center_of_mass_at(self, q: Array) -> Array:
+        """Centre of mass of the whole robot in the base [m]."""
+        poses = self.poses(q)
         moment = np.zeros(3)
-        for joint, mount in mounts().items():
-            places[mount.child] = places[mount.parent] + mount.position
-            moment += self.rotors[joint].mass * places[mount.child]
+        for joint, rotor in self.rotors.items():
+            moment += rotor.mass * poses[self.mounts[joint].child][1]
         for name, body in self.links.items():
-            moment += body.mass * (places[name] + body.com)
+            R, p = poses[name]
+            moment += body.mass * (p + R @ body.com)
         return moment / self.mass
 
-
-@dataclass(frozen=True)
-class Mount:
-    """A joint: the link that carries it, its position there at zero [m], and its axis."""
-
-    parent: str
-    child: str
-    position: Array
-    axis: Array
-
-
-def mounts() -> dict[str, Mount]:
-    """All joints by name."""
-    found = {}
-    for leg in LEGS:
-        forward, left = (1.0 if leg[0] == "F" else -1.0), (1.0 if leg[1] == "L" else -1.0)
-        found[f"{leg}_hip_joint"] = Mount("trunk", f"{leg}_hip", _HIP * [forward, left, 1.0], np.array([1.0, 0.0, 0.0]))
-        offset = np.array([0.0, left * _THIGH_OFFSET, 0.0])
-        found[f"{leg}_thigh_joint"] = Mount(f"{leg}_hip", f"{leg}_thigh", offset, np.array([0.0, 1.0, 0.0]))
-        below = np.array([0.0, 0.0, -_THIGH])
-        found[f"{leg}_calf_joint"] = Mount(f"{leg}_thigh", f"{leg}_calf", below, np.array([0.0, 1.0, 0.0]))
-    return found
+    def poses(self, q: Array) -> dict[str, tuple[Array, Array]]:
+        """Rotation to the base, shape (3, 3), and position in it, shape (3,) [m], of every link."""
+        poses = {self.base: (np.eye(3), np.zeros(3))}
+        angles = dict(zip(self.joints, q, strict=True))
+        for joint, mount in self.mounts.items():
+            R, p = poses[mount.parent]
+            turned = R if mount.axis is None else R @ rotation_about(mount.axis, angles[joint])
+            poses[mount.child] = (turned, p + R @ mount.position)
+        return poses
 
 
-def foot_position() -> Array:
-    """Centre of a foot's ball in its calf [m]."""
-    return np.array([0.0, 0.0, -_CALF])
+def rotation_about(axis: Array, angle: float) -> Array:
+    """Rotation matrix by Rodrigues' formula."""
+    K = np.cross(np.eye(3), axis)
+    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
 
 
-def true_quadruped(seed: int) -> Quadruped:
-    """A robot with bodies and friction of its own."""
-    rng = np.random.default_rng([seed, 1])
-    links = {"trunk": Body.ellipsoid(7.5, np.array([0.01, 0.0, 0.005]), np.array([0.26, 0.13, 0.08]))}
-    for leg in LEGS:
-        left = 1.0 if leg[1] == "L" else -1.0
-        hip, thigh = np.array([0.0, 0.01 * left, 0.0]), np.array([0.0, 0.0, -0.07])
-        links[f"{leg}_hip"] = Body.ellipsoid(0.6, hip, np.array([0.06, 0.06, 0.06]))
-        links[f"{leg}_thigh"] = Body.ellipsoid(1.0, thigh, np.array([0.05, 0.05, 0.15]))
-        links[f"{leg}_calf"] = Body.ellipsoid(0.22, np.array([0.0, 0.0, -0.1]), np.array([0.04, 0.04, 0.14]))
-    links = {name: _perturbed(body, 0.1, rng) for name, body in links.items()}
-    axes = {joint: mount.axis for joint, mount in mounts().items()}
-    rotors = {joint: rotor(axis) for joint, axis in axes.items()}
-    return Quadruped(links, rotors, rng.uniform(0.02, 0.08, 12), rng.uniform(0.15, 0.5, 12))
-
-
-def prior_quadruped(truth: Quadruped, seed: int) -> Quadruped:
+def prior_robot(truth: Robot, seed: int) -> Robot:
     """The robot as its maker describes it: masses 10 to 30 % off, centres of mass and inertias too."""
     rng = np.random.default_rng([seed, 2])
-    links = {name: _perturbed(body, 0.3, rng) for name, body in truth.links.items()}
+    links = {name: body.perturbed(0.3, rng) for name, body in truth.links.items()}
     return replace(truth, links=links)
 
 
-def rotor(axis: Array) -> Body:
-    """A motor's rotor, which is balanced."""
-    along = np.outer(axis, axis)
-    inertia = 8e-5 * along + 5e-5 * (np.eye(3) - along)
-    return Body(0.09, np.zeros(3), inertia, np.zeros(3), np.full(3, 0.05))
-
-
-def _perturbed(body: Body, spread: float, rng: np.random.Generator) -> Body:
-    """A body inside the same ellipsoid with another mass, centre of mass and inertia."""
-    sign = rng.choice([-1.0, 1.0])
-    mass = body.mass * (1 + sign * rng.uniform(spread / 3, spread))
-    com = body.com + 0.15 * spread * body.semi_axes * rng.uniform(-1, 1, 3)
-    scale = np.diag(np.sqrt(1 + spread * rng.uniform(-0.5, 0.0, 3)))
-    return replace(body, mass=mass, com=com, inertia=scale @ body.inertia @ scale * mass / body.mass)
-
-
-def urdf_text(robot: Quadruped) -> str:
+def urdf_text(robot: Robot) -> str:
     """URDF of the links; the rotors are in the configuration."""
-    parts = ['<?xml version="1.0"?>', '<robot name="quadruped">']
+    parts = ['<?xml version="1.0"?>', f'<robot name="{robot.name}">']
     for name, body in robot.links.items():
         parts.append(_link_text(name, body))
     parts.append('<link name="imu_link"/>')
-    parts.append(_fixed_text("imu_joint", "trunk", "imu_link", IMU_POSITION, IMU_TURN))
-    for name, mount in mounts().items():
+    parts.append(_fixed_text("imu_joint", robot.base, "imu_link", robot.imu.position, robot.imu.turn))
+    for name, mount in robot.mounts.items():
+        if mount.axis is None:
+            parts.append(_fixed_text(name, mount.parent, mount.child, mount.position))
+            continue
         parts.append(
             f'<joint name="{name}" type="revolute"><origin xyz="{_text(mount.position)}"/>'
             f'<parent link="{mount.parent}"/><child link="{mount.child}"/><axis xyz="{_text(mount.axis)}"/>'
             '<limit lower="-3" upper="3" effort="40" velocity="25"/></joint>'
         )
-    for leg, foot in zip(LEGS, FEET, strict=True):
-        parts.append(f'<link name="{foot}"/>')
-        parts.append(_fixed_text(f"{foot}_joint", f"{leg}_calf", foot, foot_position(), 0.0))
+    for foot in robot.feet:
+        parts.append(f'<link name="{foot.name}"/>')
+        parts.append(_fixed_text(f"{foot.name}_joint", foot.link, foot.name, foot.position))
     return "\n".join([*parts, "</robot>", ""])
 
 
@@ -168,7 +235,7 @@ def _link_text(name: str, body: Body) -> str:
     )
 
 
-def _fixed_text(name: str, parent: str, child: str, position: Array, turn: float) -> str:
+def _fixed_text(name: str, parent: str, child: str, position: Array, turn: float = 0.0) -> str:
     return (
         f'<joint name="{name}" type="fixed"><origin xyz="{_text(position)}" rpy="0 0 {turn:g}"/>'
         f'<parent link="{parent}"/><child link="{child}"/></joint>'

@@ -232,16 +232,22 @@ def velocity_with_dry_friction(M_inverse: Array, v_free: Array, max_impulse: Arr
     v = v_free - M_inverse @ impulse
     if ((v * v_before > 0) | (max_impulse == 0)).all():
         return np.asarray(v)  # nothing stops or reverses
-    with_friction = np.flatnonzero(max_impulse)
+    columns = np.ascontiguousarray(M_inverse.T)
+    diagonal, limits, impulses = (
+        np.diagonal(M_inverse).tolist(),
+        max_impulse.tolist(),
+        impulse.tolist(),
+    )  # fast to index
+    with_friction = np.flatnonzero(max_impulse).tolist()
     for _ in range(_MAX_SWEEPS):
         change = 0.0
         for j in with_friction:
-            own = min(max(impulse[j] + v[j] / M_inverse[j, j], -max_impulse[j]), max_impulse[j])
-            if own != impulse[j]:
-                change = max(change, abs(own - impulse[j]) * M_inverse[j, j])
-                v = v - M_inverse[:, j] * (own - impulse[j])
-                impulse[j] = own
+            own = min(max(impulses[j] + v.item(j) / diagonal[j], -limits[j]), limits[j])
+            if own != impulses[j]:
+                change = max(change, abs(own - impulses[j]) * diagonal[j])
+                v = v - columns[j] * (own - impulses[j])
+                impulses[j] = own
         if change < _CONVERGED:
             break
-    v[np.abs(impulse) < max_impulse] = 0.0
+    v[np.abs(impulses) < max_impulse] = 0.0
     return np.asarray(v)

@@ -11,7 +11,7 @@ from idtool.common.arrays import Array
 _RANK = 1e-9  # ratio to the largest singular value, up to which one counts as 0
 
 
-def svd(matrix: ArrayLike, *, full: bool = False) -> tuple[Array, Array, Array]:
+def svd(matrix: ArrayLike) -> tuple[Array, Array, Array]:
     """Singular value decomposition U diag(s) Vᵀ of any finite matrix.
 
     LAPACK's fast routine, gesdd, gives up on some matrices with entries as small as rounding errors; its slow one,
@@ -21,14 +21,34 @@ def svd(matrix: ArrayLike, *, full: bool = False) -> tuple[Array, Array, Array]:
     ----------
     matrix
         Shape (n, m).
-    full
-        True for square U and Vᵀ.
 
     Returns
     -------
-    U (n, k), s (k,), the largest first, and Vᵀ (k, m) with k = min(n, m); U (n, n) and Vᵀ (m, m) in full.
+    U (n, k), s (k,), the largest first, and Vᵀ (k, m) with k = min(n, m).
+    """
+    return _svd(np.asarray(matrix, dtype=np.float64), full=False)
+
+
+def right_singular_vectors(matrix: ArrayLike) -> tuple[Array, Array]:
+    """Singular values of any finite matrix, and all its right singular vectors, those of its null space included.
+
+    Parameters
+    ----------
+    matrix
+        Shape (n, m). It may be tall: nothing of size (n, n) is computed.
+
+    Returns
+    -------
+    s (k,), the largest first, with k = min(n, m), and Vᵀ (m, m).
     """
     matrix = np.asarray(matrix, dtype=np.float64)
+    is_wide = matrix.shape[0] < matrix.shape[1]
+    _, s, Vt = _svd(matrix, full=is_wide)
+    return s, Vt
+
+
+def _svd(matrix: Array, full: bool) -> tuple[Array, Array, Array]:
+    """As in `svd`; U (n, n) and Vᵀ (m, m) in full."""
     try:
         U, s, Vt = np.linalg.svd(matrix, full_matrices=full)
     except np.linalg.LinAlgError:
@@ -53,7 +73,7 @@ def null_space(matrix: ArrayLike) -> Array:
     matrix = np.asarray(matrix, dtype=np.float64)
     is_involved = matrix.any(axis=0)
     involved = matrix[:, is_involved]
-    _, s, Vt = svd(involved, full=True)
+    s, Vt = right_singular_vectors(involved)
     rank = int(np.count_nonzero(s > _RANK * s.max(initial=0.0)))
     rest = Vt[rank:].T
     free_count = int(np.count_nonzero(~is_involved))

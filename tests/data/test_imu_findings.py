@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ground.logs import Recording, record
-from ground.robot import JOINTS, true_quadruped
+from ground.quadruped import JOINTS, true_quadruped
 
 from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.logs import JointLog, make_log

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ground.logs import Recording, record, write_mcap
-from ground.robot import true_quadruped
+from ground.quadruped import true_quadruped
 from mcap.records import Schema
 
 from idtool.common.exceptions import LogError
@@ -24,6 +24,7 @@ from idtool.robot.config import Config, parse_config
 
 Array = np.ndarray
 DT = 1e-3
+TRUTH = true_quadruped(0)
 ROOT = Frame(0, np.eye(3), np.zeros(3))
 
 
@@ -149,12 +150,12 @@ def test_flag_is_widened_at_both_ends() -> None:
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return record(true_quadruped(0), "hang", seconds=0.3, seed=0)
+    return record(TRUTH, "hang", seconds=0.3, seed=0)
 
 
 def test_topics_become_the_channels_of_the_table(recording: Recording, tmp_path: Path) -> None:
     """Messages by mcap_ros2; the IMU at half the rate of the joints, and one message of the rope's flag."""
-    write_mcap(tmp_path / "log.mcap", recording)
+    write_mcap(tmp_path / "log.mcap", TRUTH, recording)
     log = read_log(tmp_path / "log.mcap", sensors=SensorOptions())
     columns = recording.columns
     for axis in ("wx", "ay", "qz"):
@@ -177,7 +178,7 @@ def test_topics_become_the_channels_of_the_table(recording: Recording, tmp_path:
 )
 def test_imu_is_chosen_by_its_topic(recording: Recording, tmp_path: Path, imu: str | None, message: str) -> None:
     path = tmp_path / "log.mcap"
-    write_mcap(path, recording, imu_topics=("/imu", "/torso/imu"))
+    write_mcap(path, TRUTH, recording, imu_topics=("/imu", "/torso/imu"))
     with pytest.raises(LogError, match=message):
         read_log(path, sensors=SensorOptions(imu))
     assert "imu_wx" in read_log(path, sensors=SensorOptions("/torso/imu")).channels

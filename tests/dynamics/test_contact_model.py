@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ground.robot import FEET, FOOT_RADIUS, true_quadruped
+from ground.quadruped import FEET, FOOT_RADIUS, true_quadruped
 from standing_quadruped import PinocchioQuadruped, quadruped_model, random_state
 
 from idtool.data.signals import Motion
@@ -16,8 +16,8 @@ ROBOT = true_quadruped(0)
 SURFACE = {"name": "rope", "link": "trunk", "kind": "surface", "flag": "contact_rope"}
 
 
-def contact_forces(folder: Path, rng: np.random.Generator, are_measured: bool = False) -> ContactModel:
-    model, config = quadruped_model(folder, ROBOT, are_measured)
+def contact_forces(folder: Path, rng: np.random.Generator) -> ContactModel:
+    model, config = quadruped_model(folder, ROBOT)
     return ContactModel(model, config.contacts, np.exp(rng.normal(size=18)))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from forward import LEG, LEG_JOINTS, LEG_ROTORS, mechanism
-from ground.robot import true_quadruped
+from ground.quadruped import true_quadruped
 from mujoco_robots import Tree
 from numpy.random import Generator
 from numpy.typing import NDArray

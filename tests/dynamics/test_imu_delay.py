@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ground.robot import true_quadruped
+from ground.quadruped import true_quadruped
 from numpy.random import Generator
 from standing_quadruped import quadruped_model, random_state
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from ground.logs import Recording, config_text, record, write_csv
-from ground.robot import FEET, JOINTS, prior_quadruped, true_quadruped, urdf_text
+from ground.quadruped import FEET, JOINTS, true_quadruped
+from ground.robot import prior_robot, urdf_text
 
 from idtool.common.safe_yaml import parse_yaml
 from idtool.data.base_sensors import needed_channels
@@ -34,7 +35,7 @@ def hang() -> Recording:
 
 def settings(flag: str | None) -> Config:
     """Configuration in which all feet have a flag of one kind; None: their own."""
-    content: dict[str, Any] = dict(parse_yaml(Path("quadruped.yaml"), config_text(TRUTH, False).encode()))
+    content: dict[str, Any] = dict(parse_yaml(Path("quadruped.yaml"), config_text(TRUTH).encode()))
     if flag is not None:
         content["contacts"] = [
             {**contact, "flag": flag} if contact["kind"] == "point" else contact for contact in content["contacts"]
@@ -46,7 +47,7 @@ def detected(folder: Path, recording: Recording, flag: str | None, **columns: np
     """Log of a recording with other columns, after the detection with the URDF whose masses are 10 to 30 % off."""
     config = settings(flag)
     write_csv(folder / "log.csv", Recording({**recording.columns, **columns}))
-    (folder / "prior.urdf").write_text(urdf_text(prior_quadruped(TRUTH, 0)))
+    (folder / "prior.urdf").write_text(urdf_text(prior_robot(TRUTH, 0)))
     model = build_model(read_robot(folder / "prior.urdf"), config, JOINTS)
     log = with_sensors(read_log(folder / "log.csv"), needed_channels(config))
     return with_detected_contacts(log, model, config)

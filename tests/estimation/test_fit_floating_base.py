@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from ground.logs import RATE, Sensors, config_text, record, write_csv
-from ground.robot import IMU_TURN, JOINTS, prior_quadruped, true_quadruped, urdf_text
+from ground.quadruped import JOINTS, true_quadruped
+from ground.robot import prior_robot, urdf_text
 from prescribed_motions import silent
 from scipy.spatial.transform import Rotation
 
@@ -31,13 +32,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for kind in ("stand", "hang"):
         write_csv(path / f"{kind}.csv", record(TRUTH, kind, seconds=5.0, seed=0))
     (path / "true.urdf").write_text(urdf_text(TRUTH))
-    (path / "prior.urdf").write_text(urdf_text(prior_quadruped(TRUTH, 0)))
+    (path / "prior.urdf").write_text(urdf_text(prior_robot(TRUTH, 0)))
     return path
 
 
 def settings(forces: str, **changes: Any) -> dict[str, Any]:
     """Configuration in which the forces on the feet are ``unknown`` or ``measured``."""
-    content = parse_yaml(Path("quadruped.yaml"), config_text(TRUTH, forces == "measured").encode())
+    content = parse_yaml(Path("quadruped.yaml"), config_text(TRUTH, forces).encode())
     return {**dict(content), **changes}
 
 
@@ -130,7 +131,7 @@ def test_robot_on_the_page_turns_with_its_imu(folder: Path) -> None:
     log = np.genfromtxt(folder / "stand.csv", delimiter=",", names=True)
     samples = np.searchsorted(log["t"], robot["t"])
     of_imu = Rotation.from_quat(np.stack([log[f"imu_q{part}"] for part in "xyzw"], axis=1)[samples])
-    expected = of_imu * Rotation.from_euler("z", IMU_TURN).inv()
+    expected = of_imu * Rotation.from_euler("z", TRUTH.imu.turn).inv()
     shown = Rotation.from_quat([frames[1][:4] for frames in robot["frames"]])
     assert (expected * shown.inv()).magnitude().max() < 0.02
     assert expected.magnitude().max() > 0.04

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from ground.logs import config_text, record, write_csv
-from ground.robot import FEET, FOOT_RADIUS, IMU_TURN, prior_quadruped, true_quadruped, urdf_text
+from ground.quadruped import FEET, FOOT_RADIUS, true_quadruped
+from ground.robot import prior_robot, urdf_text
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -27,7 +28,7 @@ def about(axis: tuple[int, int, int], angle: NDArray[np.float64]) -> Rotation:
 def readings(columns: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
     """What sensors above the feet read, which have no mass: the opposite of the ground's wrench, and an offset."""
     imu = Rotation.from_quat(np.stack([columns[f"imu_q{part}"] for part in "xyzw"], axis=1))
-    base = imu * Rotation.from_rotvec([0, 0, IMU_TURN]).inv()
+    base = imu * Rotation.from_rotvec([0, 0, TRUTH.imu.turn]).inv()
     found = {}
     for foot in FEET:
         leg = foot.removesuffix("_foot")
@@ -47,12 +48,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         recording = record(TRUTH, kind, seconds=5.0, seed=0)
         columns = dict(recording.columns)
         write_csv(path / f"{kind}.csv", type(recording)({**columns, **readings(columns)}))
-    (path / "prior.urdf").write_text(urdf_text(prior_quadruped(TRUTH, 0)))
+    (path / "prior.urdf").write_text(urdf_text(prior_robot(TRUTH, 0)))
     return path
 
 
 def settings() -> dict[str, Any]:
-    config = dict(parse_yaml(Path("quadruped.yaml"), config_text(TRUTH, False).encode()))
+    config = dict(parse_yaml(Path("quadruped.yaml"), config_text(TRUTH).encode()))
     return {**config, "wrench_sensors": [{"joint": f"{foot}_joint"} for foot in FEET]}
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from commands import JOINTS, LEG
 from ground.logs import config_text, record
-from ground.robot import prior_quadruped, true_quadruped, urdf_text
+from ground.quadruped import true_quadruped
+from ground.robot import prior_robot, urdf_text
 from maker_messages import GO_JOINTS, GO_LEGS, low_state_topic, write_topics
 from paths import SAMPLES
 
@@ -80,8 +81,8 @@ def test_quadruped_with_its_imu_and_feet(tmp_path: Path) -> None:
     table = write_table(tmp_path / "stand.csv", columns)
     path = write_low_states(tmp_path / "stand.mcap", columns, GO_JOINTS)
     urdf = tmp_path / "go.urdf"
-    urdf.write_text(urdf_text(prior_quadruped(TRUTH, 0)))
-    config = dict(parse_yaml(Path("quadruped.yaml"), config_text(TRUTH, are_forces_measured=False).encode()))
+    urdf.write_text(urdf_text(prior_robot(TRUTH, 0)))
+    config = dict(parse_yaml(Path("quadruped.yaml"), config_text(TRUTH).encode()))
     expected = idtool.fit(idtool.Model(urdf, config=config), table, quick=True)
 
     fields = {**FLAGS, "contact.rope": "bit_flag"}

@@ -12,6 +12,7 @@ from sensor_arm import CHANNELS, COULOMB, JOINTS, LINKS, SENSOR, urdf_text, writ
 import idtool
 from idtool.common.exceptions import ConfigError, LogError
 
+KP = 100.0  # N m/rad
 OFFSET = np.array([3.0, -2.0, 5.0, 0.1, 0.2, -0.3])
 TRUE_MASS = {link.name: link.mass for link in LINKS}
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from ground.logs import config_text
-from ground.robot import JOINTS, Array, Quadruped, urdf_text
+from ground.quadruped import JOINTS
+from ground.robot import Array, Robot, urdf_text
 from numpy.random import Generator
 
 from idtool.common.safe_yaml import parse_yaml
@@ -21,13 +22,11 @@ from idtool.robot.urdf.reading import read_robot
 BASE = slice(12, 18)  # coordinates of the base
 
 
-def quadruped_model(
-    folder: Path, robot: Quadruped, are_forces_measured: bool = False, **config: Any
-) -> tuple[RobotModel, Config]:
+def quadruped_model(folder: Path, robot: Robot, forces: str = "unknown", **config: Any) -> tuple[RobotModel, Config]:
     """The robot and its configuration, without rotors unless ``config`` has them."""
     path = folder / "quadruped.urdf"
     path.write_text(urdf_text(robot))
-    content = parse_yaml(path, config_text(robot, are_forces_measured).encode())
+    content = parse_yaml(path, config_text(robot, forces).encode())
     settings = parse_config({**content, "rotors": {}, **config}, "")
     return build_model(read_robot(path), settings, JOINTS), settings
 

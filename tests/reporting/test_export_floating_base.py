@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import yaml
 from ground.logs import config_text
-from ground.robot import GEAR, JOINTS, true_quadruped, urdf_text
+from ground.quadruped import GEAR, JOINTS, true_quadruped
+from ground.robot import urdf_text
 from standing_quadruped import random_state
 
 import idtool
@@ -26,7 +27,7 @@ TRUTH = true_quadruped(0)
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """What a fit writes, without rotors, which armature represents only in part."""
-    config = dict(parse_yaml(Path("model.yaml"), config_text(TRUTH, False).encode()))
+    config = dict(parse_yaml(Path("model.yaml"), config_text(TRUTH).encode()))
     del config["rotors"]
     friction = {joint: {"viscous": 0.1, "coulomb": 0.3, "offset": False} for joint in JOINTS}
     (tmp_path / "identified.urdf").write_text(urdf_text(TRUTH))
@@ -69,7 +70,7 @@ def test_mujoco_has_a_free_joint_and_the_same_dynamics(folder: Path, rng: np.ran
 
 
 def test_rotors_are_armature_whatever_turns_their_carriers(folder: Path) -> None:
-    content = dict(parse_yaml(Path("model.yaml"), config_text(TRUTH, False).encode()))
+    content = dict(parse_yaml(Path("model.yaml"), config_text(TRUTH).encode()))
     path = folder / "model.yaml"
     path.write_bytes(yaml.safe_dump({**content, "joints": list(JOINTS)}).encode())
     exported = idtool.export(folder, "mujoco")

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground.robot import JOINTS, prior_quadruped, true_quadruped
+from ground.quadruped import JOINTS, true_quadruped
+from ground.robot import prior_robot
 from standing_quadruped import PinocchioQuadruped, quadruped_model, random_state
 
 from idtool.common.exceptions import ConfigError
@@ -36,7 +37,7 @@ def test_base_is_a_body_with_six_coordinates_after_the_joints(tmp_path: Path) ->
 
 def test_torque_is_that_of_pinocchio(tmp_path: Path, rng: np.random.Generator) -> None:
     """Of any orientation and velocity: a uniform motion of the whole robot takes no force."""
-    model, _ = quadruped_model(tmp_path, prior_quadruped(ROBOT, 0))
+    model, _ = quadruped_model(tmp_path, prior_robot(ROBOT, 0))
     reference = PinocchioQuadruped(tmp_path / "quadruped.urdf")
     motion = random_state(rng)
     expected = np.stack([reference.torque(motion, k) for k in range(5)], axis=1)

@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from ground.robot import true_quadruped, urdf_text
+from ground.quadruped import true_quadruped
+from ground.robot import urdf_text
 from maker_messages import GO_JOINTS, low_state_topic, write_topics
 
 from idtool.robot.urdf.reading import read_robot

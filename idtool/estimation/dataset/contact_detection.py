@@ -113,8 +113,7 @@ def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[
     always_unknown = tuple(foot.with_unknown_wrench().model_copy(update={"flag": None}) for foot in feet)
     settings = config.model_copy(update={"contacts": always_unknown})
     base_sensors = BaseSensors.of_log(log, model, settings)
-    wrench_channels = WrenchChannels.of_log(log, model, settings)
-    signals = Signals(log, model.joint_names, settings, base_sensors, wrench_channels)
+    signals = Signals(log, model.joint_names, settings, base_sensors, WrenchChannels.of_log(log, model, settings))
     contact_model = ContactModel(model, always_unknown, noise=np.ones(len(model.joints)))
     times = []
     forces = []
