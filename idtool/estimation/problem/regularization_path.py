@@ -38,6 +38,7 @@ WEIGHTS = 10.0 ** np.append(np.arange(1, -4.1, -0.5), -5)  # from the firmest
 _VALIDATED = np.append(np.arange(0, len(WEIGHTS) - 1, 2), len(WEIGHTS) - 1)  # indices of whole decades
 _FOLDS = 5
 _BLOCK_SECONDS = 1.0  # less where logs are short; a residual's correlation seldom lasts longer
+_MIN_BLOCKS_OF_LOG = 10
 _LAGS = 3  # blocks over which errors may still be correlated
 _MOST_MOVED = 3.5  # standard errors by which a prior may move the fit
 _GAP = 1e-4  # of the cost, by which a point of the path may miss its minimum
@@ -154,7 +155,8 @@ def regularization_path(
     total = merge_reductions([log.total for log in data])
     tracker = _Tracker(model, bodies, total, sets, regularization, equalities, noise)
     fits = tracker.solve(tracker.data_gram, WEIGHTS)
-    blocks = _blocks(data)
+    groups = _blocks(data)
+    blocks = [block for group in groups for block in group]
     if len(blocks) < _FOLDS:
         unknown = np.full(len(WEIGHTS), np.nan)
         weight = assumed_weight(total)
@@ -162,7 +164,7 @@ def regularization_path(
     sums, rows = tracker.validation_errors(blocks, fits)
     validated = sums.sum(axis=1) / rows.sum()
     best_validated = int(np.argmin(validated))
-    standard_error = _standard_error(sums[best_validated] / rows, rows)
+    standard_error = _standard_error(sums[best_validated] / rows, rows, [len(group) for group in groups])
     softness = -np.log(WEIGHTS)  # which increases
     validation = np.interp(softness, softness[_VALIDATED], validated)
     best = int(_VALIDATED[best_validated])
@@ -213,27 +215,58 @@ def assumed_weight(total: Reduction) -> float:
     return float(np.clip(weight, WEIGHTS[-1], WEIGHTS[0]))
 
 
-def _blocks(data: Sequence[Blocks]) -> list[Reduction]:
-    """The logs cut into blocks of a second, in the order of time; of short logs so many that every fold has two."""
+def _blocks(data: Sequence[Blocks]) -> list[list[Reduction]]:
+    """The logs cut into blocks of a second, in the order of time; of short logs so many that every fold has two.
+
+    Each log is a group of its own, but logs of few blocks, which tell little of their own mean error, are one together.
+    """
     seconds = sum(len(log) * log.seconds for log in data)
     block_seconds = min(_BLOCK_SECONDS, seconds / (2 * _FOLDS))
-    blocks: list[Reduction] = []
+    groups: list[list[Reduction]] = []
+    of_short_logs: list[Reduction] = []
     for log in data:
-        blocks += log.regrouped(max(round(block_seconds / log.seconds), 1)).parts
-    return [block for block in blocks if any(factor.rows for factor in block)]
+        parts = log.regrouped(max(round(block_seconds / log.seconds), 1)).parts
+        blocks = [block for block in parts if any(factor.rows for factor in block)]
+        if len(blocks) < _MIN_BLOCKS_OF_LOG:
+            of_short_logs += blocks
+        else:
+            groups.append(blocks)
+    return [*groups, of_short_logs] if of_short_logs else groups
 
 
-def _standard_error(means: Array, rows: Array) -> float:
-    """Standard error of the weighted mean of errors that are correlated over a few blocks (Newey & West 1987)."""
-    share = rows / rows.sum()
-    deviations = share * (means - share @ means)
+def _standard_error(means: Array, rows: Array, group_sizes: Sequence[int]) -> float:
+    """Standard error of the weighted mean of errors that are correlated over a few blocks (Newey & West 1987).
+
+    Deviations are from the mean of the own group: that a motion of one log has larger errors than that of another is no
+    scatter.
+
+    Parameters
+    ----------
+    means, rows
+        Mean squared error and number of rows of each block, group after group, shape (F,).
+    group_sizes
+        Number of blocks of each group.
+    """
+    variance = 0.0
+    first = 0
+    for size in group_sizes:
+        group = slice(first, first + size)
+        own_mean = np.average(means[group], weights=rows[group])
+        deviations = rows[group] / rows.sum() * (means[group] - own_mean)
+        variance += _variance_of_sum(deviations)
+        first += size
+    return float(np.sqrt(variance))
+
+
+def _variance_of_sum(deviations: Array) -> float:
+    """Variance of the sum of values that are correlated over a few blocks, from their deviations, shape (F,)."""
     uncorrelated = float(deviations @ deviations)
     variance = uncorrelated
     for lag in range(1, min(_LAGS, len(deviations) - 1) + 1):
         taper = 1 - lag / (_LAGS + 1)
         covariance = float(deviations[lag:] @ deviations[:-lag])
         variance += 2 * taper * covariance
-    return float(np.sqrt(max(variance, uncorrelated)))
+    return max(variance, uncorrelated)
 
 
 class _Tracker:
