@@ -78,3 +78,10 @@ def test_flags_that_do_not_fit_the_load_are_named(tmp_path: Path, walk: Recordin
     assert [(one.code, one.subject) for one in always.notices] == [("contact_always_closed", "FL_foot")]
     assert not detected(tmp_path, walk, None).notices
     assert not detected(tmp_path, hang, None).notices
+
+
+def test_posture_in_which_the_torque_hardly_tells_the_force_says_nothing_against_a_flag(tmp_path: Path) -> None:
+    """The calf of RL folds to -3 rad, where the URDF's error in torque would be a force of half the weight."""
+    folded = record(TRUTH, "hang", seconds=3.5, seed=1)
+    assert folded.columns["q_RL_calf_joint"].min() < -2.9
+    assert not detected(tmp_path, folded, None).notices
