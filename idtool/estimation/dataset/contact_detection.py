@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import BaseSensors
@@ -70,8 +71,14 @@ def with_detected_contacts(log: JointLog, model: RobotModel, config: Config) -> 
         The tree of bodies, with the parameters of the URDF.
     config
         The configuration, whose contacts with the flag ``auto`` are feet for `is_foot`.
+
+    Raises
+    ------
+    LogError
+        If a contact has the flag ``auto``, but a joint of its leg has no torque.
     """
-    feet = tuple(contact for contact in config.contacts if contact.flag is not None and is_foot(contact, model))
+    flagged = [contact for contact in config.contacts if contact.flag is not None and is_foot(contact, model)]
+    feet = [foot for foot in flagged if _torque_is_known(foot, log, model)]
     if not feet:
         return log
     found = foot_loads(log, model, config, feet)
@@ -94,11 +101,24 @@ def with_detected_contacts(log: JointLog, model: RobotModel, config: Config) -> 
     return replace(log, channels=channels, notices=(*log.notices, *notices))
 
 
+def _torque_is_known(foot: Contact, log: JointLog, model: RobotModel) -> bool:
+    """True if a log has the torque of all joints of a leg; LogError if it does not, but tells the foot's flag."""
+    unknown = [name for name in _leg_joints(foot, model) if name in log.unknown_torque]
+    if unknown and foot.has_automatic_flag:
+        what = f"has no torque of {join_names(unknown)}, which the flag auto of contact {foot.name} needs"
+        raise LogError(log.path, f"{what}; log the torque, or name the channel of a flag")
+    return not unknown
+
+
+def _leg_joints(contact: Contact, model: RobotModel) -> list[str]:
+    """Joints that move the link of a contact."""
+    moves = model.support()[model.frames[contact.link].body]
+    return [name for j, name in enumerate(model.joint_names) if moves[j]]
+
+
 def is_foot(contact: Contact, model: RobotModel) -> bool:
     """True for a point on a link that at least three joints move, whose torque tells the force."""
-    body = model.frames[contact.link].body
-    joints_that_move_it = model.support()[body, : model.joint_count]
-    return contact.kind == "point" and joints_that_move_it.sum() >= _MIN_LEG_JOINTS
+    return contact.kind == "point" and len(_leg_joints(contact, model)) >= _MIN_LEG_JOINTS
 
 
 def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[Contact]) -> FootLoads:
