@@ -120,6 +120,19 @@ def test_missing_sensor_is_named(folder: Path, tmp_path: Path) -> None:
         idtool.fit(model, path, quick=True)
 
 
+@pytest.mark.parametrize(("letter", "dead"), [("a", "accelerometer"), ("w", "gyroscope")])
+def test_imu_whose_reading_never_changes_is_refused(folder: Path, tmp_path: Path, letter: str, dead: str) -> None:
+    header, *lines = [line.split(",") for line in (folder / "hang.csv").read_text().splitlines()[:2000]]
+    for line in lines:
+        for axis in "xyz":
+            line[header.index(f"imu_{letter}{axis}")] = "0"
+    path = tmp_path / "dead.csv"
+    path.write_text("\n".join(",".join(line) for line in [header, *lines]))
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
+    with pytest.raises(LogError, match=f"the {dead} of the IMU reads the same all the time"):
+        idtool.validate(model, path)
+
+
 @pytest.fixture(scope="module")
 def late_imu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("late") / "stand.csv"

@@ -91,6 +91,12 @@ def _is_flag(name: str) -> bool:
     return name.startswith("contact_")
 
 
+def is_dead(log: JointLog, names: Iterable[str]) -> bool:
+    """True if none of a sensor's channels, of which a log has all, ever changes: it was not connected."""
+    values = [finite_samples(log.channels[name]).x for name in names]
+    return all(len(x) > 0 and np.ptp(x) == 0 for x in values)
+
+
 def finite_samples(channel: Channel) -> Channel:
     """The channel's finite samples in the order of time."""
     is_finite = np.isfinite(channel.t) & np.isfinite(channel.x)
