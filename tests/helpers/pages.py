@@ -182,7 +182,7 @@ def evaluation_of(curves: dict[str, Array], logs: int = 1, start: float = 0.0) -
     nv, points = curves["measured"].shape
     t = start + np.repeat(np.arange(points // 2) + 0.5, 2) * 0.01
     errors = {
-        name: Errors(10, np.full(nv, 0.6 + i), np.full(nv, 3.6 + i), np.full(1, nv * (0.6 + i)))
+        name: Errors(10, np.full(nv, 10), np.full(nv, 0.6 + i), np.full(nv, 3.6 + i), np.full(1, nv * (0.6 + i)))
         for i, name in enumerate(curves)
         if i and name not in ("residual", "q")
     }
