@@ -192,6 +192,31 @@ def test_sensor_whose_reading_never_changes_is_refused(folder: Path, tmp_path: P
         idtool.fit(model, log, quick=True)
 
 
+def found_by_inspection(log: Path) -> list[tuple[str, str, str | None]]:
+    """Code, severity and subject of the findings on sensors."""
+    notices = idtool.inspect(log, config=settings()).notices
+    return [(one.code, one.severity, one.subject) for one in notices if "sensor" in one.code]
+
+
+def test_inspection_names_what_is_wrong_with_a_sensor(folder: Path, tmp_path: Path) -> None:
+    assert found_by_inspection(folder / "arm.csv") == []
+    dead = with_readings(folder, tmp_path, 0, 1, "0")
+    assert found_by_inspection(dead) == [("wrench_sensor_dead", "problem", SENSOR)]
+    empty = with_readings(folder, tmp_path, 0, 1, "")
+    assert found_by_inspection(empty) == [("sensor_unusable", "problem", SENSOR)]
+    header, *lines = (folder / "arm.csv").read_text().splitlines()
+    (tmp_path / "other_name.csv").write_text("\n".join([header.replace(f"_{SENSOR}_", "_wrist_"), *lines]))
+    assert found_by_inspection(tmp_path / "other_name.csv") == [("sensor_unusable", "problem", SENSOR)]
+    columns = [header.split(",").index(name) for name in CHANNELS]
+    for i in range(3000, 3300):
+        cells = lines[i].split(",")
+        for column in columns:
+            cells[column] = "nan"
+        lines[i] = ",".join(cells)
+    (tmp_path / "gap.csv").write_text("\n".join([header, *lines]))
+    assert found_by_inspection(tmp_path / "gap.csv") == [("sensors_missing", "note", SENSOR)]
+
+
 def test_missing_channel_is_named(folder: Path) -> None:
     model = idtool.Model(folder / "arm.urdf", config=settings(topic="/ft"))
     with pytest.raises(LogError, match="has no channel force_ft_x"):

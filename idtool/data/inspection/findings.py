@@ -23,10 +23,8 @@ from idtool.data.inspection.velocity_findings import (
 from idtool.data.logs.log import JointLog
 
 
-def all_findings(
-    log: JointLog, duration: float, stamps: Stamps, joints: Mapping[str, InspectedJoint]
-) -> tuple[Notice, ...]:
-    """All findings, problems first, those with the same advice side by side.
+def all_findings(log: JointLog, duration: float, stamps: Stamps, joints: Mapping[str, InspectedJoint]) -> list[Notice]:
+    """All findings on stamps and joints.
 
     Where the stamps seem to be in another unit than seconds, which is a notice of the log, v can't be compared with
     dq/dt, and no stretch be called long or short.
@@ -61,7 +59,7 @@ def all_findings(
         elif in_seconds and joint.velocity is not None and not _repeats_values(joint, frozen[name]):
             findings += velocity_against_position(name, joint.velocity, joint.band_hz or 0.0, log.dt)
         findings += channel_findings(name, joint, frozen[name], log.dt)
-    return _sorted(findings)
+    return findings
 
 
 def _repeats_values(joint: InspectedJoint, frozen: Mapping[str, FrozenStretches]) -> bool:
@@ -73,7 +71,8 @@ def _repeats_values(joint: InspectedJoint, frozen: Mapping[str, FrozenStretches]
     return False
 
 
-def _sorted(findings: Sequence[Notice]) -> tuple[Notice, ...]:
+def in_order(findings: Sequence[Notice]) -> tuple[Notice, ...]:
+    """The findings, problems first, those with the same advice side by side."""
     first: dict[str, int] = {}
     for i, finding in enumerate(findings):
         first.setdefault(finding.advice, i)
