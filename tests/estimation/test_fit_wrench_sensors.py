@@ -243,6 +243,11 @@ def test_commands_that_need_joints_alone_refuse_a_sensor(folder: Path) -> None:
             "give fit, none, or six numbers",
         ),
         ({"base": {"imu": {"delay": 2}}}, "delay: 2 is not a delay; give auto, or a number in s of at most 1"),
+        ({"base": {"imu": {"delay": True}}}, "base.imu.delay: True is not a delay"),
+        ({"controller": {"kp": {"lift": 1}, "delay": True}}, "controller.delay: True is not a delay"),
+        ({"filter": {"cutoff_hz": True}}, "filter.cutoff_hz: true is not a number"),
+        ({"contacts": [{"name": "Foot", "link": "hand", "flag": ""}]}, "contacts.0.flag: is empty; give a name"),
+        ({"wrench_sensors": [{"joint": SENSOR, "channel": " "}]}, "wrench_sensors.0.channel: is empty"),
         ({"contacts": 2 * [{"name": "Foot", "link": "hand"}]}, "contacts: Foot is listed twice"),
     ],
 )
