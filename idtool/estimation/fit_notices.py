@@ -84,7 +84,9 @@ def _mass_notices(experiment: Experiment, identification: Identification) -> Ite
     prior = sum(float(body.pi[0]) for body in identification.prior)
     total = sum(float(pi[0]) for _, pi in _bodies(identification))
     if measured is None and prior > 0 and not 1 - _TOTAL_MASS_CHANGE < total / prior < 1 + _TOTAL_MASS_CHANGE:
-        message = f"the total mass is {total:.3g} kg, but {prior:.3g} kg in the prior; logs seldom determine it"
+        message = f"the total mass is {total:.3g} kg, but {prior:.3g} kg in the prior"
+        if experiment.model.has_only_joints:
+            message = f"{message}; logs seldom determine it"
         yield Notice("total_mass_changed", "warning", None, message, advice)
     changes = {}
     for body, pi in _bodies(identification):

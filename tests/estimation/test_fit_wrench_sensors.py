@@ -105,6 +105,20 @@ def test_joints_without_torque_are_left_out(folder: Path) -> None:
     assert "torque_unknown" in [notice.code for notice in result.notices]
 
 
+def test_notices_are_those_of_a_robot_with_sensors(folder: Path) -> None:
+    """The sensor tells a mass, and instrumental variables are refused beside it."""
+    text = urdf_text()
+    for mass in (TRUE_MASS["upper"], TRUE_MASS["hand"]):
+        text = text.replace(f'mass value="{mass}"', f'mass value="{3 * mass:g}"')
+    (folder / "heavy.urdf").write_text(text)
+    model = idtool.Model(folder / "heavy.urdf", config=settings())
+    notices = {one.code: one for one in idtool.fit(model, folder / "without_torque.csv", simulation=False).notices}
+    assert notices["total_mass_changed"].message.endswith("kg in the prior")
+    unchecked = notices["bias_unchecked"]
+    assert unchecked.message.endswith("this needs a fixed base and no wrench sensors")
+    assert not unchecked.advice
+
+
 def test_error_of_a_joint_is_of_the_logs_with_its_torque(folder: Path) -> None:
     model = idtool.Model(folder / "prior.urdf", config=settings())
     alone = idtool.validate(model, folder / "arm.csv", simulation=False)
