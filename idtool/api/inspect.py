@@ -10,6 +10,7 @@ from idtool.api.log import Log
 from idtool.api.model import Source, load_settings
 from idtool.api.results import notice_lines
 from idtool.data.base_sensors import sensor_options
+from idtool.data.controller import with_unknown_torque
 from idtool.data.inspection import inspect_log
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.message_options import message_options
@@ -44,6 +45,8 @@ def inspect(log: LogSource, *, config: Source | Mapping[str, Any] | None = None)
     """
     settings = load_settings(config)
     record = log.record if isinstance(log, Log) else _read(log, settings)
+    if settings.wrench_sensors:
+        record = with_unknown_torque(record, settings.controller)
     return InspectionResult.from_result(inspection_report(inspect_log(record, settings)))
 
 

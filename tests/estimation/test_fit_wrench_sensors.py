@@ -105,6 +105,20 @@ def test_joints_without_torque_are_left_out(folder: Path) -> None:
     assert "torque_unknown" in [notice.code for notice in result.notices]
 
 
+def test_torque_that_sensors_replace_is_no_fault_of_the_log(folder: Path, tmp_path: Path) -> None:
+    """Neither if it was not logged, nor if a driver without a torque sensor wrote zeros."""
+    header, *lines = (folder / "without_torque.csv").read_text().splitlines()
+    names = ",".join(f"tau_{name}" for name in JOINTS)
+    zeros = tmp_path / "zeros.csv"
+    zeros.write_text("\n".join([f"{header},{names}", *(f"{line},0,0,0" for line in lines)]))
+    for log in (folder / "without_torque.csv", zeros):
+        notices = idtool.inspect(log, config=settings()).notices
+        assert {one.code for one in notices} == {"missing_velocity", "torque_unknown"}
+    model = idtool.Model(folder / "arm.urdf", config=settings())
+    diagnosis = idtool.diagnose(model, folder / "without_torque.csv", effects=["payload"])
+    assert not diagnosis.data_faults
+
+
 def test_notices_are_those_of_a_robot_with_sensors(folder: Path) -> None:
     """The sensor tells a mass, and instrumental variables are refused beside it."""
     text = urdf_text()

@@ -11,6 +11,8 @@ sample time [s], N samples, nj joints.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from idtool.data.inspection.clock import clock_deviation, fresh_rows, gaps, jitter, sample_steps, sampling, step_jitter
@@ -83,6 +85,7 @@ def inspect_log(log: JointLog, config: Config | None = None) -> Inspection:
 
 
 def _inspect(log: JointLog, config: Config) -> Inspection:
+    log = _without_unknown_torque(log)
     stretches = _stretches(log.segments)
     statistics = {name: column_statistics(x) for name, x in log.signals.items()}
     fresh = np.concatenate([fresh_rows(log, s) for s in stretches])
@@ -114,6 +117,18 @@ def _inspect(log: JointLog, config: Config) -> Inspection:
         findings=findings,
         reading=tuple(notice for notice in log.notices if notice not in findings),
     )
+
+
+def _without_unknown_torque(log: JointLog) -> JointLog:
+    """The log without the torque of joints of which none was logged, and which is 0."""
+    if not log.unknown_torque:
+        return log
+    is_unknown = np.isin(log.joints, log.unknown_torque)
+    signals = dict(log.signals)
+    tau = signals.pop("tau")
+    if not is_unknown.all():
+        signals["tau"] = np.where(is_unknown, np.nan, tau)
+    return replace(log, signals=signals)
 
 
 def _stretches(segments: tuple[slice, ...]) -> list[slice]:

@@ -51,7 +51,8 @@ def all_findings(log: JointLog, duration: float, stamps: Stamps, joints: Mapping
     exchanged = exchanged_velocities(log, joints) if in_seconds else {}
     frozen = frozen_channels(log, joints) if in_seconds else {name: {} for name in joints}
     for name, joint in joints.items():
-        findings += missing_channels(name, joint)
+        is_needed = name not in log.unknown_torque
+        findings += [one for one in missing_channels(name, joint) if is_needed or one.code != "missing_torque"]
         findings += motion_findings(name, joint, frozen[name].get("q"), log.dt)
         findings += commanded_torque(name, joint)
         if name in exchanged:
