@@ -125,6 +125,7 @@ def evaluate(
         samples_of_log = 0
         is_known = np.zeros(len(joints), dtype=bool)
         torque_sums_of_log = np.zeros_like(torque_sums)
+        squares_of_log = {name: np.zeros((2, len(joints))) for name in models}  # in the band, as logged
         batches = run.signals.batches(parts, every_sample=True)
         for batch in tracked(batches, parts, progress, f"predicting {log.path.name}"):
             measured, predicted, is_known_in_batch = _predict(experiment, batch, models)
@@ -135,22 +136,24 @@ def evaluate(
             is_known |= is_known_in_batch
             for name, torque in predicted.items():
                 squares = np.square(torque - measured)
+                squares_as_logged = np.square(torque - batch.motion.logged_tau[:, inner])
                 errors[name].samples += torque.shape[1]
-                errors[name].sum_squares_in_band += squares.sum(axis=1)
                 np.add.at(errors[name].sum_squares_by_second, seconds_of_samples, squares.sum(axis=0))
-                errors[name].sum_squares_as_logged += np.square(torque - batch.motion.logged_tau[:, inner]).sum(axis=1)
+                squares_of_log[name] += squares.sum(axis=1), squares_as_logged.sum(axis=1)
             torque_sums_of_log += measured.sum(axis=1), np.square(measured).sum(axis=1)
             residual = measured - next(iter(predicted.values()))
             correlations.add(residual, measured, stride, log.dt)
             curves = {"measured": measured, "residual": residual, **predicted}
             t = batch.motion.t[inner] + log.start
             envelope.add(t, {**curves, "q": batch.motion.q[:, inner]} if angles else curves)
-        torque_sums += np.where(is_known, torque_sums_of_log, 0.0)
-        known_samples += np.where(is_known, samples_of_log, 0)
+        for name, (in_band, as_logged) in squares_of_log.items():
+            errors[name].sum_squares_in_band += is_known * in_band
+            errors[name].sum_squares_as_logged += is_known * as_logged
+            errors[name].known_samples += is_known * samples_of_log
+        torque_sums += is_known * torque_sums_of_log
+        known_samples += is_known * samples_of_log
         traces.append(envelope.trace(log.path.name))
         second += _seconds(run, held_out)
-    for error in errors.values():
-        error.known_samples = known_samples
     mean, square = torque_sums / np.maximum(known_samples, 1)
     torque_std = np.sqrt(np.maximum(square - mean**2, 0))
     independent = correlations.independent(stride)

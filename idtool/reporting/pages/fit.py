@@ -116,7 +116,7 @@ def fit_page(
         **uncertainty_view(report),
         where="On the held-out data" if held_out else "On the data that the model was fitted to",
         worse=worse,
-        worst=max(known_rms, key=lambda name: known_rms[name]),
+        worst=max(report.joints, key=lambda name: known_rms.get(name, 0.0)),
         determined=fit.uncertainty.identifiable,
         gap=gap,
         certified=gap <= GAP,
