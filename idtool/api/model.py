@@ -62,7 +62,7 @@ class Model:
 
     def __init__(self, urdf: Source, config: Source | Mapping[str, Any] | None = None) -> None:
         self._robot, _ = read_robot_and_logs(Path(urdf), ())
-        self._config, self._origin = _load_settings(Path(urdf), config)
+        self._config, self._origin = _settings_and_name(Path(urdf), config)
 
     @classmethod
     def with_logs(cls, urdf: Path, logs: Sequence[Path], config: Path | None = None) -> tuple[Model, list[Path]]:
@@ -84,7 +84,7 @@ class Model:
         """
         model = cls.__new__(cls)
         model._robot, all_logs = read_robot_and_logs(urdf, logs)
-        model._config, model._origin = _load_settings(urdf, config)
+        model._config, model._origin = _settings_and_name(urdf, config)
         return model, all_logs
 
     @classmethod
@@ -240,12 +240,17 @@ def identified_urdf_text(fit: Fit, folder: Path | None = None) -> bytes:
     return text if folder is None else relocate_meshes(text, model.robot.path, folder)
 
 
-def _load_settings(urdf: Path, given: Source | Mapping[str, Any] | None) -> tuple[Config, str]:
+def load_settings(given: Source | Mapping[str, Any] | None) -> Config:
+    """The configuration in a file or a dictionary; the defaults for None."""
+    if given is None:
+        return Config()
+    return parse_config(given, "config") if isinstance(given, Mapping) else read_config(Path(given))
+
+
+def _settings_and_name(urdf: Path, given: Source | Mapping[str, Any] | None) -> tuple[Config, str]:
     """The configuration and its name: the one given, the one beside the URDF, or the defaults without a name."""
-    if isinstance(given, Mapping):
-        return parse_config(given, "config"), "a configuration"
     if given is not None:
-        return read_config(Path(given)), Path(given).name
+        return load_settings(given), "a configuration" if isinstance(given, Mapping) else Path(given).name
     names = [f"{stem(urdf)}.yaml", f"{stem(urdf)}.yml"]
     if urdf.stem == "identified":
         names.append(MODEL_YAML)

@@ -48,6 +48,7 @@ def fit_command(
     from idtool.api.data import load_experiment
     from idtool.api.fit import fit_experiment
     from idtool.api.model import Model
+    from idtool.reporting.fit_report import met_bounds
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.fit import show_fit
 
@@ -65,5 +66,4 @@ def fit_command(
             result.rerun(rerun)
     show_fit(terminal, result, folder)
     rms = result.rms.validation or result.rms.train
-    checks = {name: rms[name] <= bound for name, bound in bounds.items()}
-    finish(terminal, result, checks)
+    finish(terminal, result, met_bounds(rms, bounds))

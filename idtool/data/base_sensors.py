@@ -65,17 +65,17 @@ def sensor_options(config: Config) -> SensorOptions | None:
 
 def needed_channels(config: Config) -> tuple[str, ...]:
     """Channels of a log that a configuration needs beside those of the joints."""
-    channels: list[str] = []
-    for sensor in config.wrench_sensors:
-        channels += sensor.logged_channels
+    return tuple(channel for _, channels in channels_by_sensor(config) for channel in channels)
+
+
+def channels_by_sensor(config: Config) -> list[tuple[str, tuple[str, ...]]]:
+    """The same channels by what they belong to: joint of a wrench sensor, ``imu``, name of a contact."""
+    sensors = [(sensor.joint, sensor.logged_channels) for sensor in config.wrench_sensors]
     if config.base.kind == "fixed":
-        return tuple(channels)
-    channels += [*GYROSCOPE, *ACCELEROMETER]
-    if any(contact.needs_orientation for contact in config.contacts):
-        channels += ORIENTATION
-    for contact in config.contacts:
-        channels += contact.logged_channels
-    return tuple(channels)
+        return sensors
+    needs_orientation = any(contact.needs_orientation for contact in config.contacts)
+    sensors.append(("imu", (*GYROSCOPE, *ACCELEROMETER, *(ORIENTATION if needs_orientation else ()))))
+    return sensors + [(contact.name, contact.logged_channels) for contact in config.contacts]
 
 
 def sensor_step(log: JointLog, config: Config) -> float:

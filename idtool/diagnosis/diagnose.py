@@ -227,8 +227,7 @@ def _confirmed(
     estimate = partial(estimate_on_parts, search.current, entries, search.progress)
     unconfirmed: list[list[PartEstimate]] = [[] for _ in entries]
     parts = stages.run("the confirmation on parts of the data", estimate, unconfirmed)
-    floor = dict(zip(search.current.experiment.equation.joints, remaining.floor.rms.tolist(), strict=True))
-    floor["overall"] = float(np.sqrt(np.mean(np.square(remaining.floor.rms))))
+    floor = remaining.floor_by_joint()
     model = search.current.experiment.model
     confirmed = []
     for step, estimates in zip(steps, parts, strict=True):

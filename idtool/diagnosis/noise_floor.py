@@ -185,7 +185,7 @@ def _residual_samples(
             if of_true_torque:
                 residual = experiment.equation.row_filter(batch).filter_rows(model.residual)
             else:
-                measured, predicted = experiment.equation.compared_torques(batch, theta)
+                measured, predicted, _ = experiment.equation.compared_torques(batch, theta)
                 residual = measured - predicted
             moving = np.array(experiment.equation.clean_samples(batch, reversal_margin))
             shares = _shares(experiment.equation, batch)

@@ -128,7 +128,7 @@ def _chunk(models: Models, batch: Batch, log_start: float, dt: float, starts_seg
     residuals = []
     valid = []
     for equation, theta in models:
-        measured_torque, predicted_torque = equation.compared_torques(batch, theta)
+        measured_torque, predicted_torque, _ = equation.compared_torques(batch, theta)
         predicted.append(predicted_torque)
         residuals.append(measured_torque - predicted_torque)
         valid.append(np.stack(equation.valid_samples(batch)))

@@ -18,6 +18,7 @@ from idtool.diagnosis.residual_series import residual_series
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes
 from idtool.diagnosis.summarize_data import summarize_data
 from idtool.estimation.dataset.experiment import Progress
+from idtool.estimation.evaluation.torque_errors import overall_rms
 
 _STRUCTURED_SHARE = 0.1  # of a joint's squared residual, explained by a generic function: it has structure
 _SLOW_POWER = 25.0  # ratio of the residual's power to the noise's at the motion's frequencies: it has structure
@@ -62,8 +63,14 @@ class RemainingResidual:
             reached = reported.torque[name] ** 2
             explained = reached - self.errors.torque[name] ** 2
             squares[name] = min(rms**2 + max(explained, 0.0), reached)
-        squares["overall"] = float(np.mean(list(squares.values())))
-        return {name: float(np.sqrt(square)) for name, square in squares.items()}
+        floor = {name: float(np.sqrt(square)) for name, square in squares.items()}
+        return floor | {"overall": overall_rms(floor.values())}
+
+    def floor_by_joint(self) -> dict[str, float]:
+        """Its noise floor by joint, NaN if there is no error, and ``overall`` [N·m or N]."""
+        rms = np.where(np.isnan(_by_joint(self.errors.torque)), np.nan, self.floor.rms)
+        floor = dict(zip(_joint_names(self.errors.torque), rms.tolist(), strict=True))
+        return floor | {"overall": overall_rms(floor.values())}
 
     def is_unexplained(self, rms_torque: Array) -> Mask:
         """Mask of the joints whose residual is more than noise, shape (nv,).

@@ -486,14 +486,15 @@ class LinearModel:
             rows.append(theta[..., active] @ block[:-1])
         return np.stack(rows, axis=-2)
 
-    def compared_torques(self, batch: Batch, theta: Array) -> tuple[Array, Array]:
-        """Measured torque and that which the model predicts, as they are compared, in the band.
+    def compared_torques(self, batch: Batch, theta: Array) -> tuple[Array, Array, Mask]:
+        """Measured torque and that which the model predicts, as they are compared, in the band; and which rows are.
 
         Both are as the sensors give them, but where a motor saturates, as it reaches the joint: what lies between the
         motor and the log, such as a gain, is then undone too.
 
         Torque sensors see the predicted torque in the band: bent by one that saturates, the noise of its accelerations
-        would not average to zero. The two do not differ at joints whose torque is not known.
+        would not average to zero. Rows are not compared, and do not differ, if their torque is not known, or if unknown
+        contact forces leave nothing of them.
 
         Parameters
         ----------
@@ -504,7 +505,7 @@ class LinearModel:
 
         Returns
         -------
-        Filtered, shapes (nv, n) and (..., nv, n) [N·m or N].
+        Filtered, shapes (nv, n) and (..., nv, n) [N·m or N]; and the mask of the rows that are compared, shape (nv,).
         """
         if self.contacts is not None:
             return self._torques_without_contacts(batch, theta)
@@ -523,17 +524,21 @@ class LinearModel:
             if isinstance(effect, TorqueSensorEffect):
                 predicted = effect.apply_sensor(predicted, batch.motion)
         measured_torque = batch.filter(measured.tau)
+        is_compared = np.ones(len(measured_torque), dtype=bool)
         for joint in batch.motion.unknown_torque:
             predicted[..., joint, :] = measured_torque[joint]
-        return measured_torque, predicted
+            is_compared[joint] = False
+        return measured_torque, predicted, is_compared
 
-    def _torques_without_contacts(self, batch: Batch, theta: Array) -> tuple[Array, Array]:
+    def _torques_without_contacts(self, batch: Batch, theta: Array) -> tuple[Array, Array, Mask]:
         """`compared_torques` that differ by what no unknown contact force explains."""
         true = self.true_motion(batch.motion)
         error = self._identified_torque(true) - self._predicted_by_columns(batch.motion, theta)
-        by_row = self.row_filter(batch).filter_rows(np.moveaxis(error, -2, 0))
+        row_filter = self.row_filter(batch)
+        by_row = row_filter.filter_rows(np.moveaxis(error, -2, 0))
         measured = batch.filter(true.tau)
-        return measured, measured - np.moveaxis(by_row, 0, -2)
+        is_compared = np.array([share.any() for share in row_filter.shares])
+        return measured, measured - np.moveaxis(by_row, 0, -2), is_compared
 
     def _undone_sensors(self) -> list[Effect]:
         """Sensors behind which errors are compared: motors that saturate, and what is nearer to the log on a joint.

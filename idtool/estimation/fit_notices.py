@@ -10,7 +10,7 @@ from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.estimation.dataset.experiment import Experiment
-from idtool.estimation.evaluation.torque_errors import Evaluation
+from idtool.estimation.evaluation.torque_errors import Evaluation, overall_rms
 from idtool.estimation.identification import Identification
 from idtool.estimation.problem.estimate import stuck_note, unfinished_note
 from idtool.estimation.problem.prior import moved_priors
@@ -84,7 +84,9 @@ def _mass_notices(experiment: Experiment, identification: Identification) -> Ite
     prior = sum(float(body.pi[0]) for body in identification.prior)
     total = sum(float(pi[0]) for _, pi in _bodies(identification))
     if measured is None and prior > 0 and not 1 - _TOTAL_MASS_CHANGE < total / prior < 1 + _TOTAL_MASS_CHANGE:
-        message = f"the total mass is {total:.3g} kg, but {prior:.3g} kg in the prior; logs seldom determine it"
+        message = f"the total mass is {total:.3g} kg, but {prior:.3g} kg in the prior"
+        if experiment.model.has_only_joints:
+            message = f"{message}; logs seldom determine it"
         yield Notice("total_mass_changed", "warning", None, message, advice)
     changes = {}
     for body, pi in _bodies(identification):
@@ -155,9 +157,10 @@ def _error_notices(
 ) -> Iterator[Notice]:
     """Torque errors that no noise explains."""
     joints = experiment.equation.joints
-    own = evaluation.errors["identified"].rms(joints)["overall"]
+    rms = evaluation.errors["identified"].rms(joints)
+    own = rms["overall"]
     prior = evaluation.errors["prior"].rms(joints)["overall"]
-    spread = float(np.sqrt(np.mean(np.square(list(evaluation.torque_std.values())))))
+    spread = overall_rms(std for name, std in evaluation.torque_std.items() if not np.isnan(rms[name]))
     if prior > _ABSURD * spread > 0 and identification.prior is experiment.model.bodies:
         message = f"the prior's torque error, {prior:.3g}, is {prior / spread:.0f} times the measured torque"
         advice = "a unit in the URDF or the configuration may be wrong"

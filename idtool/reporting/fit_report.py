@@ -149,16 +149,26 @@ def _known_value(constraint: Constraint, fit: Fit) -> KnownValue:
 def _rms(fit: Fit, joints: tuple[str, ...], raw: bool) -> TorqueErrors:
     held_out = fit.validation.errors
     return TorqueErrors(
-        train=fit.train.errors["identified"].rms(joints, raw),
-        validation=held_out["identified"].rms(joints, raw) if fit.has_held_out else None,
-        prior_validation=held_out["prior"].rms(joints, raw) if fit.has_held_out else None,
+        train=plain_data(fit.train.errors["identified"].rms(joints, raw)),
+        validation=plain_data(held_out["identified"].rms(joints, raw)) if fit.has_held_out else None,
+        prior_validation=plain_data(held_out["prior"].rms(joints, raw)) if fit.has_held_out else None,
     )
+
+
+def met_bounds(rms: Mapping[str, float | None], bounds: Mapping[str, float]) -> dict[str, bool]:
+    """By joint or ``overall``, whether an rms meets its bound; one that is not known does not."""
+    is_met = {}
+    for name, bound in bounds.items():
+        error = rms[name]
+        is_met[name] = error is not None and error <= bound
+    return is_met
 
 
 def nrms(evaluation: Evaluation, model: str, joints: tuple[str, ...]) -> dict[str, float | None]:
     """Root mean square in the band over the measured torque's standard deviation, by joint."""
     rms = evaluation.errors[model].rms(joints)
-    return {name: rms[name] / spread if spread else None for name, spread in evaluation.torque_std.items()}
+    shares = {name: rms[name] / spread if spread else None for name, spread in evaluation.torque_std.items()}
+    return dict(plain_data(shares))
 
 
 def whole_robot_report(fit: Fit) -> WholeRobotReport | None:
@@ -422,7 +432,8 @@ def validation_report(
         The notices.
     """
     joints = tuple(units)
-    rms = ModelErrors(**{model: errors.rms(joints) for model, errors in evaluation.errors.items()})
+    rms = ModelErrors(**{model: plain_data(errors.rms(joints)) for model, errors in evaluation.errors.items()})
+    rms_raw = {model: plain_data(errors.rms(joints, raw=True)) for model, errors in evaluation.errors.items()}
     return ValidationReport(
         **provenance_fields(sources),
         joints=joints,
@@ -430,10 +441,10 @@ def validation_report(
         samples=evaluation.errors["model"].samples,
         band_hz=band_hz,
         rms=rms,
-        rms_raw=ModelErrors(**{model: errors.rms(joints, raw=True) for model, errors in evaluation.errors.items()}),
+        rms_raw=ModelErrors(**rms_raw),
         nrms=nrms(evaluation, "model", joints),
         simulation=simulation,
         bound=bounds,
-        ok={name: rms.model[name] <= bound for name, bound in bounds.items()},
+        ok=met_bounds(rms.model, bounds),
         **notice_fields(notices),
     )

@@ -11,7 +11,7 @@ from idtool.common.notice import Notice
 from idtool.common.units import units_text
 from idtool.estimation.problem.estimate import stuck_note
 from idtool.estimation.study.study import Study, StudyEntry
-from idtool.reporting.results.base import SampleCounts, notice_fields, provenance_fields
+from idtool.reporting.results.base import SampleCounts, notice_fields, plain_data, provenance_fields
 from idtool.reporting.results.study import (
     Advantage,
     Convergence,
@@ -82,7 +82,10 @@ def _finite_or_none(values: Array) -> list[float | None]:
 
 def _rms(study: Study, name: str) -> StudyErrors:
     joints = study.experiment.equation.joints
-    return StudyErrors(train=study.train.errors[name].rms(joints), validation=study.validation.errors[name].rms(joints))
+    return StudyErrors(
+        train=plain_data(study.train.errors[name].rms(joints)),
+        validation=plain_data(study.validation.errors[name].rms(joints)),
+    )
 
 
 def _set_report(study: Study, name: str, outcome: StudyEntry) -> SetReport:

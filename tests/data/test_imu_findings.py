@@ -47,6 +47,15 @@ def test_wrong_sizes_are_named(recording: Recording, factors: dict[str, float], 
     assert not found or words in found[0].message
 
 
+@pytest.mark.parametrize(("prefix", "dead"), [("imu_a", "accelerometer"), ("imu_w", "gyroscope")])
+@pytest.mark.parametrize("reading", [0.0, 1.0])
+def test_sensor_that_was_not_connected_is_named(recording: Recording, prefix: str, dead: str, reading: float) -> None:
+    columns = dict(recording.columns)
+    columns |= {name: np.full_like(columns[name], reading) for name in scaled(prefix, 0.0)}
+    (notice,) = imu_findings(log_of(columns))
+    assert (notice.code, notice.message) == ("imu_dead", f"the {dead} reads the same all the time")
+
+
 def test_removed_gravity_is_named(recording: Recording) -> None:
     """The robot hangs level but for its swinging, so that gravity is along z."""
     columns = dict(recording.columns)

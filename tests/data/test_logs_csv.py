@@ -154,6 +154,30 @@ def test_empty_cells_are_missing(written: Written) -> None:
     assert log.segments == (slice(3, 5),)
 
 
+@pytest.mark.parametrize(
+    ("no", "yes"), [("false", "true"), ("False", "True"), ("FALSE", "TRUE"), ('"False"', '"True"')]
+)
+def test_flags_in_words(written: Written, no: str, yes: str) -> None:
+    rows = f"0,1,2,3,{no},0\n0.1,1.5,2.5,3.5,,{no}\n0.2,-1,-2,-3e-5,1,{yes}\n"
+    log = read_log(written(f"t,q_hip,v_hip,tau_hip,contact_left,contact_right\n{rows}", "log.csv"))
+    check(log)
+    np.testing.assert_array_equal(log.channels["contact_left"].x, [0, np.nan, 1])
+    np.testing.assert_array_equal(log.channels["contact_right"].x, [0, 0, 1])
+
+
+@pytest.mark.parametrize(("q", "flag", "named"), [("True", "True", "q_hip: 'True'"), ("1", "maybe", "left: 'maybe'")])
+def test_words_that_are_no_numbers(written: Written, q: str, flag: str, named: str) -> None:
+    with pytest.raises(LogError, match=f"line 2, column .*{named} is not a number"):
+        read_log(written(f"t,q_hip,contact_left\n0,{q},{flag}\n0.1,1,True\n", "log.csv"))
+
+
+@pytest.mark.parametrize(("last", "codes"), [("True", []), ("False", []), ("Fals", ["log_truncated"])])
+def test_last_word_without_a_line_end(written: Written, last: str, codes: list[str]) -> None:
+    log = read_log(written(f"t,q_hip,contact_left\n0,1,False\n0.1,1,False\n0.2,1,{last}", "log.csv"))
+    assert [notice.code for notice in log.notices] == codes
+    assert len(log) == 3 - len(codes)
+
+
 def test_rows_of_other_topics_are_passed_over(written: Written) -> None:
     text = "__time,/joint_states/hip/position,/imu/x\n0,1,\n0.05,,7\n0.1,2,\n0.15,,8\n0.2,3,\n"
     log = read_log(written(text, "log.csv"))

@@ -91,6 +91,18 @@ def test_missing_sensors_are_named(channels: dict[str, Channel], message: str) -
         with_sensors(log_of(channels), ["imu_wx"])
 
 
+def test_contact_whose_flag_has_no_value_counts_as_closed() -> None:
+    t = np.arange(0, 2.0, 0.01)
+    flags = {"contact_left": Channel(t, np.full(len(t), np.nan)), "contact_right": Channel(t, 0 * t)}
+    log = with_sensors(log_of(flags), flags)
+    at = np.array([-1.0, 0.5, 3.0])
+    assert log.channels["contact_left"].is_set(at).all()
+    assert log.channels["contact_right"].is_set(at).tolist() == [True, False, False]
+    (notice,) = log.notices
+    assert (notice.code, notice.severity) == ("contact_flag_empty", "warning")
+    assert notice.message.startswith("no value of contact_left:")
+
+
 def test_sign_of_a_quaternion_means_nothing() -> None:
     """A turn about x by a full circle and a half, with a sign that jumps, at a third of the joints' rate."""
     t = np.arange(0, 2.0, 3e-3)

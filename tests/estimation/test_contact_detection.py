@@ -11,8 +11,10 @@ from ground.logs import Recording, config_text, record, write_csv
 from ground.quadruped import FEET, JOINTS, true_quadruped
 from ground.robot import prior_robot, urdf_text
 
+from idtool.common.exceptions import LogError
 from idtool.common.safe_yaml import parse_yaml
 from idtool.data.base_sensors import needed_channels
+from idtool.data.controller import with_unknown_torque
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.sensor_channels import with_sensors
 from idtool.estimation.dataset.contact_detection import with_detected_contacts
@@ -50,6 +52,7 @@ def detected(folder: Path, recording: Recording, flag: str | None, **columns: np
     (folder / "prior.urdf").write_text(urdf_text(prior_robot(TRUTH, 0)))
     model = build_model(read_robot(folder / "prior.urdf"), config, JOINTS)
     log = with_sensors(read_log(folder / "log.csv"), needed_channels(config))
+    log = with_unknown_torque(log, None)
     return with_detected_contacts(log, model, config)
 
 
@@ -79,3 +82,23 @@ def test_flags_that_do_not_fit_the_load_are_named(tmp_path: Path, walk: Recordin
     assert [(one.code, one.subject) for one in always.notices] == [("contact_always_closed", "FL_foot")]
     assert not detected(tmp_path, walk, None).notices
     assert not detected(tmp_path, hang, None).notices
+
+
+def test_posture_in_which_the_torque_hardly_tells_the_force_says_nothing_against_a_flag(tmp_path: Path) -> None:
+    """The calf of RL folds to -3 rad, where the URDF's error in torque would be a force of half the weight."""
+    folded = record(TRUTH, "hang", seconds=3.5, seed=1)
+    assert folded.columns["q_RL_calf_joint"].min() < -2.9
+    assert not detected(tmp_path, folded, None).notices
+
+
+def test_leg_without_torque_tells_nothing_of_its_foot(tmp_path: Path, walk: Recording) -> None:
+    """Its torque counts as 0, by which the foot would never carry a load."""
+    no_torque = {f"tau_FL_{part}_joint": np.zeros(len(walk.columns["t"])) for part in ("hip", "thigh", "calf")}
+    always_set = np.ones(len(walk.columns["t"]))
+    log = detected(tmp_path, walk, None, **no_torque, contact_FL_foot=always_set)
+    assert [one.code for one in log.notices] == ["torque_unknown"]
+    needed = (
+        "has no torque of FL_hip_joint, FL_thigh_joint, FL_calf_joint, which the flag auto of contact FL_foot needs"
+    )
+    with pytest.raises(LogError, match=needed):
+        detected(tmp_path, walk, "auto", **no_torque)

@@ -84,7 +84,7 @@ def test_true_robot_leaves_the_noise_of_its_sensors(folder: Path, kind: str, row
     base = {**settings("unknown")["base"], "noise": {name: float(x) for name, x in noise.items()}}
     model = true_model(folder, "unknown", base=base)
     rms = idtool.validate(model, folder / f"{kind}.csv").rms.model
-    in_noise = sum((rms[name] / noise[name]) ** 2 for name in noise)
+    in_noise = sum(((rms[name] or 0.0) / noise[name]) ** 2 for name in noise)
     assert 0.4 * rows < in_noise < 1.2 * rows
 
 
@@ -146,6 +146,19 @@ def test_missing_sensor_is_named(folder: Path, tmp_path: Path) -> None:
         idtool.fit(model, path, quick=True)
 
 
+@pytest.mark.parametrize(("letter", "dead"), [("a", "accelerometer"), ("w", "gyroscope")])
+def test_imu_whose_reading_never_changes_is_refused(folder: Path, tmp_path: Path, letter: str, dead: str) -> None:
+    header, *lines = [line.split(",") for line in (folder / "hang.csv").read_text().splitlines()[:2000]]
+    for line in lines:
+        for axis in "xyz":
+            line[header.index(f"imu_{letter}{axis}")] = "0"
+    path = tmp_path / "dead.csv"
+    path.write_text("\n".join(",".join(line) for line in [header, *lines]))
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
+    with pytest.raises(LogError, match=f"the {dead} of the IMU reads the same all the time"):
+        idtool.validate(model, path)
+
+
 @pytest.fixture(scope="module")
 def late_imu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("late") / "stand.csv"
@@ -187,6 +200,20 @@ def test_delay_of_a_controller_must_be_given(folder: Path, tmp_path: Path) -> No
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown", controller={"kp": gains}))
     with pytest.raises(ConfigError, match="is not fitted for a floating base; give it in s"):
         idtool.fit(model, tmp_path / "log.csv", quick=True)
+
+
+def test_row_that_contacts_leave_nothing_of_has_no_error(folder: Path) -> None:
+    """The rope takes what the base's rows have; what is left of them is rounding."""
+    noise = dict.fromkeys((*JOINTS, *BASE_COORDINATES), 0.1)
+    model = true_model(folder, "unknown", base={**settings("unknown")["base"], "noise": noise})
+    hang = idtool.validate(model, folder / "hang.csv", simulation=False)
+    assert [name for name, error in hang.rms.model.items() if error is None] == list(BASE_COORDINATES)
+    known = [hang.rms.model[name] for name in JOINTS]
+    assert hang.rms.model["overall"] == pytest.approx(np.sqrt(np.mean(np.square(known))))
+    both = idtool.validate(model, [folder / "hang.csv", folder / "stand.csv"], simulation=False)
+    stand = idtool.validate(model, folder / "stand.csv", simulation=False)
+    for name in BASE_COORDINATES:
+        assert both.rms.model[name] == pytest.approx(stand.rms.model[name])
 
 
 def test_what_contacts_leave_nothing_of_is_not_determined(folder: Path) -> None:

@@ -99,8 +99,39 @@ def test_joints_without_torque_are_left_out(folder: Path) -> None:
     carried = result.bodies["upper"].mass + result.bodies["hand"].mass
     assert carried == pytest.approx(TRUE_MASS["upper"] + TRUE_MASS["hand"], rel=0.015)
     assert result.bodies["shoulder"].mass == pytest.approx(1.3 * TRUE_MASS["shoulder"], rel=1e-3)
-    assert result.rms.train["lift"] == 0.0
+    rms = result.rms.train
+    assert [name for name, error in rms.items() if error is None] == list(JOINTS)
+    known = [error for name, error in rms.items() if error is not None and name != "overall"]
+    assert rms["overall"] == pytest.approx(np.sqrt(np.mean(np.square(known))))
     assert "torque_unknown" in [notice.code for notice in result.notices]
+
+
+def test_torque_that_sensors_replace_is_no_fault_of_the_log(folder: Path, tmp_path: Path) -> None:
+    """Neither if it was not logged, nor if a driver without a torque sensor wrote zeros."""
+    header, *lines = (folder / "without_torque.csv").read_text().splitlines()
+    names = ",".join(f"tau_{name}" for name in JOINTS)
+    zeros = tmp_path / "zeros.csv"
+    zeros.write_text("\n".join([f"{header},{names}", *(f"{line},0,0,0" for line in lines)]))
+    for log in (folder / "without_torque.csv", zeros):
+        notices = idtool.inspect(log, config=settings()).notices
+        assert {one.code for one in notices} == {"missing_velocity", "torque_unknown"}
+    model = idtool.Model(folder / "arm.urdf", config=settings())
+    diagnosis = idtool.diagnose(model, folder / "without_torque.csv", effects=["payload"])
+    assert not diagnosis.data_faults
+
+
+def test_notices_are_those_of_a_robot_with_sensors(folder: Path) -> None:
+    """The sensor tells a mass, and instrumental variables are refused beside it."""
+    text = urdf_text()
+    for mass in (TRUE_MASS["upper"], TRUE_MASS["hand"]):
+        text = text.replace(f'mass value="{mass}"', f'mass value="{3 * mass:g}"')
+    (folder / "heavy.urdf").write_text(text)
+    model = idtool.Model(folder / "heavy.urdf", config=settings())
+    notices = {one.code: one for one in idtool.fit(model, folder / "without_torque.csv", simulation=False).notices}
+    assert notices["total_mass_changed"].message.endswith("kg in the prior")
+    unchecked = notices["bias_unchecked"]
+    assert unchecked.message.endswith("this needs a fixed base and no wrench sensors")
+    assert not unchecked.advice
 
 
 def test_error_of_a_joint_is_of_the_logs_with_its_torque(folder: Path) -> None:
@@ -190,6 +221,31 @@ def test_sensor_whose_reading_never_changes_is_refused(folder: Path, tmp_path: P
         idtool.fit(model, log, quick=True)
 
 
+def found_by_inspection(log: Path) -> list[tuple[str, str, str | None]]:
+    """Code, severity and subject of the findings on sensors."""
+    notices = idtool.inspect(log, config=settings()).notices
+    return [(one.code, one.severity, one.subject) for one in notices if "sensor" in one.code]
+
+
+def test_inspection_names_what_is_wrong_with_a_sensor(folder: Path, tmp_path: Path) -> None:
+    assert found_by_inspection(folder / "arm.csv") == []
+    dead = with_readings(folder, tmp_path, 0, 1, "0")
+    assert found_by_inspection(dead) == [("wrench_sensor_dead", "problem", SENSOR)]
+    empty = with_readings(folder, tmp_path, 0, 1, "")
+    assert found_by_inspection(empty) == [("sensor_unusable", "problem", SENSOR)]
+    header, *lines = (folder / "arm.csv").read_text().splitlines()
+    (tmp_path / "other_name.csv").write_text("\n".join([header.replace(f"_{SENSOR}_", "_wrist_"), *lines]))
+    assert found_by_inspection(tmp_path / "other_name.csv") == [("sensor_unusable", "problem", SENSOR)]
+    columns = [header.split(",").index(name) for name in CHANNELS]
+    for i in range(3000, 3300):
+        cells = lines[i].split(",")
+        for column in columns:
+            cells[column] = "nan"
+        lines[i] = ",".join(cells)
+    (tmp_path / "gap.csv").write_text("\n".join([header, *lines]))
+    assert found_by_inspection(tmp_path / "gap.csv") == [("sensors_missing", "note", SENSOR)]
+
+
 def test_missing_channel_is_named(folder: Path) -> None:
     model = idtool.Model(folder / "arm.urdf", config=settings(topic="/ft"))
     with pytest.raises(LogError, match="has no channel force_ft_x"):
@@ -216,6 +272,11 @@ def test_commands_that_need_joints_alone_refuse_a_sensor(folder: Path) -> None:
             "give fit, none, or six numbers",
         ),
         ({"base": {"imu": {"delay": 2}}}, "delay: 2 is not a delay; give auto, or a number in s of at most 1"),
+        ({"base": {"imu": {"delay": True}}}, "base.imu.delay: True is not a delay"),
+        ({"controller": {"kp": {"lift": 1}, "delay": True}}, "controller.delay: True is not a delay"),
+        ({"filter": {"cutoff_hz": True}}, "filter.cutoff_hz: true is not a number"),
+        ({"contacts": [{"name": "Foot", "link": "hand", "flag": ""}]}, "contacts.0.flag: is empty; give a name"),
+        ({"wrench_sensors": [{"joint": SENSOR, "channel": " "}]}, "wrench_sensors.0.channel: is empty"),
         ({"contacts": 2 * [{"name": "Foot", "link": "hand"}]}, "contacts: Foot is listed twice"),
     ],
 )

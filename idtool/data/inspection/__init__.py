@@ -1,8 +1,9 @@
 """The contents of a log and its faults: the one place for all data faults that a log shows by itself.
 
-`inspect_log` looks at a log and nothing else: no model, no configuration. Ranges, counts, jumps and frozen stretches
-come from every sample, block by block; shares and statistics of a long log from stretches spread over it, 2¹⁷ samples
-in all. `clock`, `joint`, `measures`, `torque`, `velocity` and `frozen` make the figures, `findings` judges them.
+`inspect_log` looks at a log without a model; a configuration only names the sensors that it must have. Ranges, counts,
+jumps and frozen stretches come from every sample, block by block; shares and statistics of a long log from stretches
+spread over it, 2¹⁷ samples in all. `clock`, `joint`, `measures`, `torque`, `velocity` and `frozen` make the figures,
+`findings` judges them.
 
 Letters: t stamps [s], q position [rad or m], v velocity [rad/s or m/s], tau torque or force [N·m or N], dt nominal
 sample time [s], N samples, nj joints.
@@ -10,10 +11,12 @@ sample time [s], N samples, nj joints.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from idtool.data.inspection.clock import clock_deviation, fresh_rows, gaps, jitter, sample_steps, sampling, step_jitter
-from idtool.data.inspection.findings import all_findings
+from idtool.data.inspection.findings import all_findings, in_order
 from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.inspection.joint import inspect_joint
 from idtool.data.inspection.jumps import position_jumps
@@ -30,9 +33,11 @@ from idtool.data.inspection.records import (
     Velocity,
     data_fault,
 )
+from idtool.data.inspection.sensor_findings import sensor_findings
 from idtool.data.inspection.signal_statistics import column_statistics, quantisation
 from idtool.data.inspection.velocity import velocity_lag
 from idtool.data.logs.log import JointLog
+from idtool.robot.config import Config
 
 __all__ = [
     "FAULT_KINDS",
@@ -60,13 +65,15 @@ _LISTED_GAPS = 5
 _SHORT_SEGMENT = 0.5  # s
 
 
-def inspect_log(log: JointLog) -> Inspection:
+def inspect_log(log: JointLog, config: Config | None = None) -> Inspection:
     """Inspect a log.
 
     Parameters
     ----------
     log
         As a reader returns it.
+    config
+        Configuration that names the sensors of a base, and wrench sensors; None: there are none.
 
     Returns
     -------
@@ -74,10 +81,11 @@ def inspect_log(log: JointLog) -> Inspection:
         Figures per log and per joint, and the findings.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # absurd values must not crash it
-        return _inspect(log)
+        return _inspect(log, config or Config())
 
 
-def _inspect(log: JointLog) -> Inspection:
+def _inspect(log: JointLog, config: Config) -> Inspection:
+    log = _without_unknown_torque(log)
     stretches = _stretches(log.segments)
     statistics = {name: column_statistics(x) for name, x in log.signals.items()}
     fresh = np.concatenate([fresh_rows(log, s) for s in stretches])
@@ -94,7 +102,8 @@ def _inspect(log: JointLog) -> Inspection:
     duration = float(t[-1] - t[0])
     steps = sum(s.stop - s.start - 1 for s in log.segments)
     seconds = sum(float(log.t[s.stop - 1] - log.t[s.start]) for s in log.segments)
-    findings = (*all_findings(log, duration, stamps, joints), *imu_findings(log))
+    of_sensors = (*imu_findings(log), *sensor_findings(log, config))
+    findings = in_order([*all_findings(log, duration, stamps, joints), *of_sensors])
     return Inspection(
         path=str(log.path),
         duration=duration,
@@ -108,6 +117,18 @@ def _inspect(log: JointLog) -> Inspection:
         findings=findings,
         reading=tuple(notice for notice in log.notices if notice not in findings),
     )
+
+
+def _without_unknown_torque(log: JointLog) -> JointLog:
+    """The log without the torque of joints of which none was logged, and which is 0."""
+    if not log.unknown_torque:
+        return log
+    is_unknown = np.isin(log.joints, log.unknown_torque)
+    signals = dict(log.signals)
+    tau = signals.pop("tau")
+    if not is_unknown.all():
+        signals["tau"] = np.where(is_unknown, np.nan, tau)
+    return replace(log, signals=signals)
 
 
 def _stretches(segments: tuple[slice, ...]) -> list[slice]:

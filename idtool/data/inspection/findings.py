@@ -23,10 +23,8 @@ from idtool.data.inspection.velocity_findings import (
 from idtool.data.logs.log import JointLog
 
 
-def all_findings(
-    log: JointLog, duration: float, stamps: Stamps, joints: Mapping[str, InspectedJoint]
-) -> tuple[Notice, ...]:
-    """All findings, problems first, those with the same advice side by side.
+def all_findings(log: JointLog, duration: float, stamps: Stamps, joints: Mapping[str, InspectedJoint]) -> list[Notice]:
+    """All findings on stamps and joints.
 
     Where the stamps seem to be in another unit than seconds, which is a notice of the log, v can't be compared with
     dq/dt, and no stretch be called long or short.
@@ -53,7 +51,8 @@ def all_findings(
     exchanged = exchanged_velocities(log, joints) if in_seconds else {}
     frozen = frozen_channels(log, joints) if in_seconds else {name: {} for name in joints}
     for name, joint in joints.items():
-        findings += missing_channels(name, joint)
+        is_needed = name not in log.unknown_torque
+        findings += [one for one in missing_channels(name, joint) if is_needed or one.code != "missing_torque"]
         findings += motion_findings(name, joint, frozen[name].get("q"), log.dt)
         findings += commanded_torque(name, joint)
         if name in exchanged:
@@ -61,7 +60,7 @@ def all_findings(
         elif in_seconds and joint.velocity is not None and not _repeats_values(joint, frozen[name]):
             findings += velocity_against_position(name, joint.velocity, joint.band_hz or 0.0, log.dt)
         findings += channel_findings(name, joint, frozen[name], log.dt)
-    return _sorted(findings)
+    return findings
 
 
 def _repeats_values(joint: InspectedJoint, frozen: Mapping[str, FrozenStretches]) -> bool:
@@ -73,7 +72,8 @@ def _repeats_values(joint: InspectedJoint, frozen: Mapping[str, FrozenStretches]
     return False
 
 
-def _sorted(findings: Sequence[Notice]) -> tuple[Notice, ...]:
+def in_order(findings: Sequence[Notice]) -> tuple[Notice, ...]:
+    """The findings, problems first, those with the same advice side by side."""
     first: dict[str, int] = {}
     for i, finding in enumerate(findings):
         first.setdefault(finding.advice, i)

@@ -1,4 +1,4 @@
-"""Faults of an IMU that show in its own channels: unit, gravity removed, orientation of another kind.
+"""Faults of an IMU that show in its own channels: a dead sensor, unit, gravity removed, orientation of another kind.
 
 At rest and on average over a motion, an accelerometer shows gravity upward: 9.81 m/s² along the vertical that the
 orientation tells.
@@ -16,7 +16,7 @@ from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import ACCELEROMETER, GYROSCOPE, ORIENTATION
 from idtool.data.logs.log import JointLog
-from idtool.data.logs.sensor_channels import finite_samples
+from idtool.data.logs.sensor_channels import finite_samples, is_dead
 
 _GRAVITY = 9.81  # m/s²
 _MAX_SAMPLES = 1 << 16
@@ -36,6 +36,10 @@ def imu_findings(log: JointLog) -> Iterator[Notice]:
             channels[name] = finite_samples(log.channels[name])
     is_complete = all(name in channels and len(channels[name].t) for name in (*ACCELEROMETER, *GYROSCOPE))
     if not is_complete:
+        return
+    if dead := dead_imu_sensors(log):
+        message = f"the {dead} reads the same all the time"
+        yield Notice("imu_dead", "problem", "imu", message, "log what it measures")
         return
     longest = max(log.segments, key=lambda segment: segment.stop - segment.start)
     t = log.t[longest][:_MAX_SAMPLES]
@@ -65,6 +69,12 @@ def imu_findings(log: JointLog) -> Iterator[Notice]:
         return
     yield from _orientation_findings(quaternions, mean)
     yield from _rate_findings(quaternions, rates, log.dt)
+
+
+def dead_imu_sensors(log: JointLog) -> str:
+    """Names of the IMU's sensors that read the same all the time, of which a log has all channels; empty: none do."""
+    sensors = {"accelerometer": ACCELEROMETER, "gyroscope": GYROSCOPE}
+    return " and the ".join(name for name, channels in sensors.items() if is_dead(log, channels))
 
 
 def _orientation_findings(quaternions: Array, mean: Array) -> Iterator[Notice]:

@@ -20,7 +20,7 @@ from idtool.data.logs.interleaved import make_log_of_complete_samples
 from idtool.data.logs.log import SIGNALS, Channel, JointLog, truncation_notice
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
 from idtool.data.logs.sample_buffer import SampleBuffer, Samples
-from idtool.data.logs.sensor_channels import SensorOptions
+from idtool.data.logs.sensor_channels import SensorOptions, is_flag
 from idtool.data.logs.table import CsvTable
 from idtool.data.logs.times import convert_to_seconds
 
@@ -73,7 +73,8 @@ def read(
         samples = SampleBuffer(path)
         sensor_rows = []
         empty_rows = 0
-        for all_rows in table.rows(used):
+        flags = frozenset(i for name, i in column_map.channels.items() if is_flag(name))
+        for all_rows in table.rows(used, flags):
             if column_map.channels:
                 sensor_rows.append(all_rows[:, sensor_columns])
             rows = all_rows[:, :joint_columns]

@@ -41,6 +41,8 @@ class SensorOptions:
 def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
     """The log with only some of its channels; samples at which one of them is missing are in no segment.
 
+    A contact whose flag has no value counts as closed.
+
     Parameters
     ----------
     log
@@ -54,6 +56,7 @@ def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
         If the log lacks one of them, or no two samples in a row have all.
     """
     channels = {}
+    empty_flags = []
     for name in dict.fromkeys(names):
         if not log.channels:
             what = f"has no channel {printable(name)}, and none of any sensor (in Python, use Model.read_log)"
@@ -61,16 +64,18 @@ def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
         if name not in log.channels:
             raise LogError(log.path, f"has no channel {printable(name)}; {suggestion(name, list(log.channels))}")
         channels[name] = finite_samples(log.channels[name])
-        if len(channels[name].t) < (1 if _is_flag(name) else 2):
-            raise LogError(log.path, f"channel {printable(name)} has no values")
-        if _is_flag(name):
+        if is_flag(name):
+            if not len(channels[name].t):
+                empty_flags.append(name)
             channels[name] = _closed_before(_in_same_clock(name, channels[name], log), log)
+        elif len(channels[name].t) < 2:
+            raise LogError(log.path, f"channel {printable(name)} has no values")
     orientation = {name: channels[name] for name in _QUATERNION if name in channels}
     if orientation:
         channels |= _continuous_orientation(orientation, log)
     is_missing = np.zeros(len(log), dtype=bool)
     for name, channel in channels.items():
-        if not _is_flag(name):
+        if not is_flag(name):
             is_missing |= _is_in_gap(channel, log)
     segments = tuple(_complete_segments(log.segments, is_missing))
     if not segments:
@@ -83,12 +88,22 @@ def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
     if lost:
         message = f"{count_text(lost, 'sample')} without a value of every sensor; left out"
         notices += (Notice("sensors_missing", "note", None, message),)
+    if empty_flags:
+        message = f"no value of {join_names(empty_flags)}: these contacts count as closed all the time"
+        advice = "log the flags; contact forces that are eliminated without need cost accuracy"
+        notices += (Notice("contact_flag_empty", "warning", None, message, advice),)
     return replace(log, channels=channels, segments=segments, notices=notices)
 
 
-def _is_flag(name: str) -> bool:
+def is_flag(name: str) -> bool:
     """True for a contact flag, which may be logged only when it changes."""
     return name.startswith("contact_")
+
+
+def is_dead(log: JointLog, names: Iterable[str]) -> bool:
+    """True if none of a sensor's channels, of which a log has all, ever changes: it was not connected."""
+    values = [finite_samples(log.channels[name]).x for name in names]
+    return all(len(x) > 0 and np.ptp(x) == 0 for x in values)
 
 
 def finite_samples(channel: Channel) -> Channel:
@@ -100,7 +115,9 @@ def finite_samples(channel: Channel) -> Channel:
 
 
 def _in_same_clock(name: str, flag: Channel, log: JointLog) -> Channel:
-    """A flag whose times are near the joints'; LogError if they are of another clock."""
+    """A flag whose times are near the joints', if it has any; LogError if they are of another clock."""
+    if not len(flag.t):
+        return flag
     start, end = log.t[log.segments[0].start], log.t[log.segments[-1].stop - 1]
     distance = max(flag.t[0] - end, start - flag.t[-1], 0.0)
     if distance > _MAX_CLOCK_ERROR:
@@ -113,7 +130,7 @@ def _in_same_clock(name: str, flag: Channel, log: JointLog) -> Channel:
 
 def _closed_before(flag: Channel, log: JointLog) -> Channel:
     """A flag that counts as set before its first value, since a force that is eliminated without need does no harm."""
-    start = min(float(log.t[log.segments[0].start]), float(flag.t[0])) - 1.0
+    start = min(float(log.t[log.segments[0].start]), float(flag.t.min(initial=np.inf))) - 1.0
     return Channel(np.concatenate([[start], flag.t]), np.concatenate([[1.0], flag.x]))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from pathlib import Path
 from typing import BinaryIO
 
@@ -20,6 +20,8 @@ from idtool.common.names import printable
 
 _BLOCK_BYTES = 1 << 22
 _MAX_LINE = 1 << 20  # bytes
+_TRUTH_VALUES = {"true": 1.0, "True": 1.0, "TRUE": 1.0, "false": 0.0, "False": 0.0, "FALSE": 0.0}
+_TRUTH_WORDS = tuple(word.encode() for word in _TRUTH_VALUES)
 _RECENT_BYTES = 1 << 16  # at the end of a block that the last line is compared with
 
 
@@ -67,15 +69,19 @@ class CsvTable:
         self._delimiter = max(splits, key=lambda mark: len(splits[mark]))
         self.header = [name.strip() for name in splits[self._delimiter]]
         self.truncated = False
+        self._flags: Set[int] = frozenset()
 
-    def rows(self, columns: Sequence[int]) -> Iterator[Array]:
+    def rows(self, columns: Sequence[int], flags: Set[int] = frozenset()) -> Iterator[Array]:
         """The numbers in ``columns``, block by block, each of shape (k, len(columns)); an empty cell is NaN.
+
+        In the columns ``flags``, true and false are numbers too.
 
         Raises
         ------
         LogError
             For the first row with another number of cells than the header, or a cell that is not a number.
         """
+        self._flags = flags
         rest = b""
         recent = b""
         while block := self._file.read(_BLOCK_BYTES):
@@ -97,7 +103,10 @@ class CsvTable:
         previous_cells = [row.rpartition(delimiter)[2] for row in previous_lines.split(b"\n")]
         shortest = min(len(cell.strip(b"-\r")) for cell in previous_cells)
         last_cell = line.rpartition(delimiter)[2]
-        return len(last_cell.strip(b"-\r")) >= shortest and _is_number(last_cell.decode(errors="replace"))
+        text = last_cell.decode(errors="replace")
+        if self._is_truth_value(text, len(self.header) - 1):
+            return True
+        return len(last_cell.strip(b"-\r")) >= shortest and _is_number(text)
 
     def _parse(self, text: bytes, columns: Sequence[int]) -> Iterator[Array]:
         if text.strip():
@@ -111,6 +120,7 @@ class CsvTable:
                     comments=None,
                     quotechar='"' if is_quoted else None,
                     usecols=columns,
+                    converters=self._converters(text),
                     ndmin=2,
                     encoding="latin1",
                 )
@@ -121,6 +131,16 @@ class CsvTable:
                 self._raise_first_fault(text, columns)
             yield rows
         self._line += text.count(b"\n")
+
+    def _converters(self, text: bytes) -> dict[int | str, Callable[[str], float]] | None:
+        """Functions that read the columns of flags, as `numpy.loadtxt` takes them; None if numpy reads them itself."""
+        if self._flags and any(word in text for word in _TRUTH_WORDS):
+            return {column: _flag_value for column in self._flags}  # noqa: C420  # whose keys are also text
+        return None
+
+    def _is_truth_value(self, cell: str, column: int) -> bool:
+        """True if a cell is true or false in a column of flags."""
+        return column in self._flags and cell.strip() in _TRUTH_VALUES
 
     def _fill_empty_cells(self, text: bytes) -> bytes:
         """The text with nan in its empty cells."""
@@ -148,11 +168,19 @@ class CsvTable:
                 if len(row) != len(self.header):
                     raise LogError(self._path, f"{line} has {len(row)} cells; the first line has {len(self.header)}")
                 for i in columns:
-                    if not _is_number(row[i]):
+                    if not (_is_number(row[i]) or self._is_truth_value(row[i], i)):
                         message = f"{line}, column {printable(self.header[i])}: '{printable(row[i])}' is not a number"
                         raise LogError(self._path, message)
         except csv.Error as error:
             raise LogError(self._path, f"line {self._line + reader.line_num}: {error}") from None
+
+
+def _flag_value(cell: str) -> float:
+    """Value of a flag; ValueError if it is neither a number nor true or false."""
+    truth = _TRUTH_VALUES.get(cell.strip())
+    if truth is None and not _is_number(cell):
+        raise ValueError(cell)
+    return float(cell) if truth is None else truth
 
 
 def _is_number(cell: str) -> bool:

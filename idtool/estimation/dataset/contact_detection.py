@@ -3,7 +3,8 @@
 A force F on a foot changes the torque of its leg's joints by −Jᵀ F, with the foot's Jacobian J, shape (3, joints). So
 F = −(J Jᵀ)⁻¹ J e, where e is the measured torque less that of the original URDF's inverse dynamics. Links that are a
 third too heavy, or friction that the URDF lacks, are worth a few hundredths of the robot's weight; more tells a
-contact.
+contact. Near a posture in which J is singular, as with a straight leg, small errors of the torque make large forces:
+such samples say nothing against a flag.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from idtool.common.arrays import Array
+from idtool.common.arrays import Array, Mask
+from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import BaseSensors
@@ -33,6 +35,7 @@ _MIN_ALWAYS_SHARE = 0.98  # of the time, from which a flag is always set
 _MIN_LEG_JOINTS = 3  # that determine the force on a foot
 _GRAVITY = 9.81  # m/s²
 _MIN_GRAM = 1e-9  # m², added to J Jᵀ, which is singular for a straight leg
+_MIN_SINGULAR_RATIO = 0.15  # smallest over largest singular value of J, from which the torque tells the force
 
 
 @dataclass(frozen=True)
@@ -47,11 +50,14 @@ class FootLoads:
         Times by the log's stamps [s], shape (N,).
     load
         Force over weight, shape (feet, N).
+    is_reliable
+        True where the leg's posture lets its torque tell the force, shape (feet, N).
     """
 
     feet: tuple[Contact, ...]
     t: Array
     load: Array
+    is_reliable: Mask
 
 
 def with_detected_contacts(log: JointLog, model: RobotModel, config: Config) -> JointLog:
@@ -65,21 +71,27 @@ def with_detected_contacts(log: JointLog, model: RobotModel, config: Config) -> 
         The tree of bodies, with the parameters of the URDF.
     config
         The configuration, whose contacts with the flag ``auto`` are feet for `is_foot`.
+
+    Raises
+    ------
+    LogError
+        If a contact has the flag ``auto``, but a joint of its leg has no torque.
     """
-    feet = tuple(contact for contact in config.contacts if contact.flag is not None and is_foot(contact, model))
+    flagged = [contact for contact in config.contacts if contact.flag is not None and is_foot(contact, model)]
+    feet = [foot for foot in flagged if _torque_is_known(foot, log, model)]
     if not feet:
         return log
     found = foot_loads(log, model, config, feet)
     channels = dict(log.channels)
     notices = []
     shares = []
-    for foot, load in zip(found.feet, found.load, strict=True):
+    for foot, load, is_reliable in zip(found.feet, found.load, found.is_reliable, strict=True):
         if foot.has_automatic_flag:
             is_loaded = load > _MIN_CONTACT_LOAD
             channels[str(foot.flag_channel)] = Channel(found.t, is_loaded.astype(float))
             shares.append(f"{foot.name} for {100 * is_loaded.mean():.0f} %")
             continue
-        notice = _flag_notice(foot, log.channels[str(foot.flag_channel)], found.t, load)
+        notice = _flag_notice(foot, log.channels[str(foot.flag_channel)], found.t, load, is_reliable)
         if notice is not None:
             notices.append(notice)
     if shares:
@@ -89,11 +101,24 @@ def with_detected_contacts(log: JointLog, model: RobotModel, config: Config) -> 
     return replace(log, channels=channels, notices=(*log.notices, *notices))
 
 
+def _torque_is_known(foot: Contact, log: JointLog, model: RobotModel) -> bool:
+    """True if a log has the torque of all joints of a leg; LogError if it does not, but tells the foot's flag."""
+    unknown = [name for name in _leg_joints(foot, model) if name in log.unknown_torque]
+    if unknown and foot.has_automatic_flag:
+        what = f"has no torque of {join_names(unknown)}, which the flag auto of contact {foot.name} needs"
+        raise LogError(log.path, f"{what}; log the torque, or name the channel of a flag")
+    return not unknown
+
+
+def _leg_joints(contact: Contact, model: RobotModel) -> list[str]:
+    """Joints that move the link of a contact."""
+    moves = model.support()[model.frames[contact.link].body]
+    return [name for j, name in enumerate(model.joint_names) if moves[j]]
+
+
 def is_foot(contact: Contact, model: RobotModel) -> bool:
     """True for a point on a link that at least three joints move, whose torque tells the force."""
-    body = model.frames[contact.link].body
-    joints_that_move_it = model.support()[body, : model.joint_count]
-    return contact.kind == "point" and joints_that_move_it.sum() >= _MIN_LEG_JOINTS
+    return contact.kind == "point" and len(_leg_joints(contact, model)) >= _MIN_LEG_JOINTS
 
 
 def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[Contact]) -> FootLoads:
@@ -117,17 +142,21 @@ def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[
     contact_model = ContactModel(model, always_unknown, noise=np.ones(len(model.joints)))
     times = []
     forces = []
+    is_reliable = []
     for batch in signals.batches():
+        force, is_reliable_force = _foot_forces(batch, model, contact_model)
         times.append(log.start + batch.t)
-        forces.append(_foot_forces(batch, model, contact_model))
+        forces.append(force)
+        is_reliable.append(is_reliable_force)
     if not times:  # too short for the filter, which the fit says; then all feet count as loaded
-        return FootLoads(tuple(feet), np.array([log.start]), np.ones((len(feet), 1)))
-    weight = _GRAVITY * model.mass
-    return FootLoads(tuple(feet), np.concatenate(times), np.concatenate(forces, axis=1) / weight)
+        shape = (len(feet), 1)
+        return FootLoads(tuple(feet), np.array([log.start]), np.ones(shape), np.zeros(shape, dtype=bool))
+    load = np.concatenate(forces, axis=1) / (_GRAVITY * model.mass)
+    return FootLoads(tuple(feet), np.concatenate(times), load, np.concatenate(is_reliable, axis=1))
 
 
-def _foot_forces(batch: Batch, model: RobotModel, contact_model: ContactModel) -> Array:
-    """Size of the force on each foot at the filtered samples of a batch, shape (feet, n) [N]."""
+def _foot_forces(batch: Batch, model: RobotModel, contact_model: ContactModel) -> tuple[Array, Mask]:
+    """Size of the force on each foot at a batch's filtered samples [N], and where it is reliable; shape (feet, n)."""
     motion = batch.motion
     pi = np.stack([body.pi for body in model.bodies])
     by_urdf = inverse_dynamics(model, pi, motion.q, motion.v, motion.a)
@@ -136,26 +165,29 @@ def _foot_forces(batch: Batch, model: RobotModel, contact_model: ContactModel) -
     directions = batch.at_filtered_samples(contact_model.unknown_directions(motion))
     by_joints = directions[:, : model.joint_count]
     forces = []
+    is_reliable = []
     for foot in range(len(contact_model.contacts)):
         components = slice(3 * foot, 3 * foot + 3)
         J = np.moveaxis(by_joints[components], -1, 0)  # (n, 3, joints)
-        gram = J @ J.transpose(0, 2, 1) + _MIN_GRAM * np.eye(3)
-        force = np.linalg.solve(gram, J @ unexplained_columns)[:, :, 0]
+        gram = J @ J.transpose(0, 2, 1)
+        smallest, _, largest = np.linalg.eigvalsh(gram).T  # squares of the singular values of J
+        is_reliable.append(smallest > _MIN_SINGULAR_RATIO**2 * largest)
+        force = np.linalg.solve(gram + _MIN_GRAM * np.eye(3), J @ unexplained_columns)[:, :, 0]
         forces.append(np.linalg.norm(force, axis=1))
-    return np.array(forces)
+    return np.array(forces), np.array(is_reliable)
 
 
-def _flag_notice(foot: Contact, flag: Channel, t: Array, load: Array) -> Notice | None:
+def _flag_notice(foot: Contact, flag: Channel, t: Array, load: Array, is_reliable: Mask) -> Notice | None:
     """Notice about a foot's flag that is always set, or not set under load; None if it fits the load, shape (N,)."""
     set_share = flag.is_set(t).mean()
-    unloaded_share = (load < _MIN_CONTACT_LOAD).mean()
+    unloaded_share = ((load < _MIN_CONTACT_LOAD) & is_reliable).mean()
     if set_share > _MIN_ALWAYS_SHARE and unloaded_share > _MAX_UNLOADED_SHARE:
         message = (
             f"the flag is always set, but its leg carries no load {100 * unloaded_share:.0f} % of the time: this costs "
             "accuracy"
         )
         return Notice("contact_always_closed", "warning", foot.name, message, "log when the foot is on the ground")
-    is_unflagged_load = (load > _MIN_UNFLAGGED_LOAD) & ~flag.is_set(t, foot.widen)
+    is_unflagged_load = (load > _MIN_UNFLAGGED_LOAD) & is_reliable & ~flag.is_set(t, foot.widen)
     unflagged_share = is_unflagged_load.mean()
     if unflagged_share > _MAX_UNFLAGGED_SHARE:
         message = f"{100 * unflagged_share:.0f} % of the time, its leg carries a load while the flag is not set"

@@ -15,10 +15,10 @@ from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.data.base_sensors import BaseSensors, needed_channels, sensor_options, sensor_step
 from idtool.data.controller import with_unknown_torque, without_constant_torque
-from idtool.data.inspection.imu_findings import imu_findings
+from idtool.data.inspection.imu_findings import dead_imu_sensors, imu_findings
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.message_options import message_options
-from idtool.data.logs.sensor_channels import with_sensors
+from idtool.data.logs.sensor_channels import is_dead, with_sensors
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
 from idtool.data.signals import Batch, Signals, default_cutoff
 from idtool.data.wrench_channels import WrenchChannels
@@ -324,7 +324,7 @@ def prepare(
     model = build_model(robot, config, common)
     for log in every:
         _check_signals(log, model.joint_names)
-        _check_wrenches(log, config)
+        _check_sensors(log, config)
     if model.has_floating_base:
         _check_detected_contacts(model, config)
         fitted = [with_detected_contacts(log, model, config) for log in fitted]
@@ -427,12 +427,15 @@ def _check_signals(log: JointLog, joints: Sequence[str]) -> None:
             raise LogError(log.path, f"channel {printable(name)} reaches {peak:.1g}; remove invalid readings")
 
 
-def _check_wrenches(log: JointLog, config: Config) -> None:
-    """Refuse a log in which a wrench sensor is dead."""
+def _check_sensors(log: JointLog, config: Config) -> None:
+    """Refuse a log in which a wrench sensor or the IMU is dead."""
     for sensor in config.wrench_sensors:
-        if not any(np.ptp(log.channels[name].x) for name in sensor.logged_channels):
+        if is_dead(log, sensor.logged_channels):
             what = f"the wrench sensor at {sensor.joint} reads the same all the time; log it, or remove it"
             raise LogError(log.path, what)
+    if config.base.kind == "floating" and (dead := dead_imu_sensors(log)):
+        what = f"the {dead} of the IMU reads the same all the time"
+        raise LogError(log.path, f"{what}; log what it measures, or set base.kind: fixed if the base stands still")
 
 
 def _split(signals: Signals, share: float) -> Run:

@@ -91,7 +91,7 @@ def estimate_imu_delay(config: Config, model: RobotModel, logs: Sequence[JointLo
 
 def _delay_in_log(config: Config, model: RobotModel, log: JointLog) -> ImuDelay | None:
     """Delay of the IMU in a log, with its error by noise alone; None if the log does not tell it."""
-    flagged = [contact for contact in config.contacts if _is_flagged_foot(contact, model)]
+    flagged = [contact for contact in config.contacts if _is_flagged_foot(contact, model, log)]
     if not flagged:
         return None
     feet = tuple(foot.with_unknown_wrench().model_copy(update={"widen": 0.0}) for foot in flagged)
@@ -123,10 +123,12 @@ def _delay_in_log(config: Config, model: RobotModel, log: JointLog) -> ImuDelay 
     return _mean(by_axis)
 
 
-def _is_flagged_foot(contact: Contact, model: RobotModel) -> bool:
-    """True for a contact that is on a moving link, and of which a flag tells when it is closed."""
+def _is_flagged_foot(contact: Contact, model: RobotModel, log: JointLog) -> bool:
+    """True for a contact that is on a moving link, and of which a flag in a log tells when it is closed."""
     body = model.bodies[model.frames[contact.link].body]
-    return contact.flag is not None and not body.is_base
+    if contact.flag_channel is None or body.is_base:
+        return False
+    return len(log.channels[contact.flag_channel].t) > 1  # the first is added, see `with_sensors`
 
 
 def _positions(log: JointLog, model: RobotModel, samples: slice) -> Array:

@@ -6,12 +6,12 @@ error against the torque as logged compares the filtered prediction with the unf
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from idtool.common.arrays import Array
+from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Batch, Motion
 from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
 from idtool.estimation.evaluation.envelope import Envelope, Trace
@@ -27,7 +27,7 @@ class Errors:
     samples
         Number of samples.
     known_samples
-        Number of samples at which each joint's torque is known, shape (nv,).
+        Number of samples in the logs in which each joint's torque is known, shape (nv,).
     sum_squares_in_band, sum_squares_as_logged
         Sums of squared errors, shape (nv,) [(N·m)² or N²].
     sum_squares_by_second
@@ -52,16 +52,20 @@ class Errors:
         return self.sum_squares_in_band / np.maximum(self.known_samples, 1)
 
     def rms(self, joints: Sequence[str], raw: bool = False) -> dict[str, float]:
-        """RMS error of each joint, and of all joints as ``overall`` [N·m or N].
+        """RMS error of each joint, NaN if its torque is not known, and of all others as ``overall`` [N·m or N].
 
         ``raw``: against the torque as logged, else in the band.
         """
         sums = self.sum_squares_as_logged if raw else self.sum_squares_in_band
-        squares = sums / np.maximum(self.known_samples, 1)
-        return {
-            **{name: float(value) for name, value in zip(joints, np.sqrt(squares), strict=True)},
-            "overall": float(np.sqrt(squares.mean())),
-        }
+        squares = np.where(self.known_samples > 0, sums / np.maximum(self.known_samples, 1), np.nan)
+        by_joint = dict(zip(joints, np.sqrt(squares).tolist(), strict=True))
+        return by_joint | {"overall": overall_rms(by_joint.values())}
+
+
+def overall_rms(by_joint: Iterable[float]) -> float:
+    """RMS over joints of an RMS by joint, those that are NaN left out; 0 if all are."""
+    squares = [rms**2 for rms in by_joint if not np.isnan(rms)]
+    return float(np.sqrt(np.mean(squares))) if squares else 0.0
 
 
 @dataclass(frozen=True)
@@ -120,29 +124,35 @@ def evaluate(
         log, stride = run.signals.log, run.signals.low_pass.stride
         envelope = Envelope(parts, log.t)
         samples_of_log = 0
+        is_known = np.zeros(len(joints), dtype=bool)
+        torque_sums_of_log = np.zeros_like(torque_sums)
+        squares_of_log = {name: np.zeros((2, len(joints))) for name in models}  # in the band, as logged
         batches = run.signals.batches(parts, every_sample=True)
         for batch in tracked(batches, parts, progress, f"predicting {log.path.name}"):
-            measured, predicted = _predict(experiment, batch, models)
+            measured, predicted, is_known_in_batch = _predict(experiment, batch, models)
             inner = slice(batch.before, len(batch.motion.t) - batch.after)
             numbers = samples_of_log + np.arange(measured.shape[1])
             seconds_of_samples = second + (numbers * log.dt).astype(int)
             samples_of_log += measured.shape[1]
-            known = np.full(len(joints), measured.shape[1])
-            known[list(batch.motion.unknown_torque)] = 0
-            known_samples += known
+            is_known |= is_known_in_batch
             for name, torque in predicted.items():
                 squares = np.square(torque - measured)
+                squares_as_logged = np.square(torque - batch.motion.logged_tau[:, inner])
                 errors[name].samples += torque.shape[1]
-                errors[name].known_samples += known
-                errors[name].sum_squares_in_band += squares.sum(axis=1)
                 np.add.at(errors[name].sum_squares_by_second, seconds_of_samples, squares.sum(axis=0))
-                errors[name].sum_squares_as_logged += np.square(torque - batch.motion.logged_tau[:, inner]).sum(axis=1)
-            torque_sums += measured.sum(axis=1), np.square(measured).sum(axis=1)
+                squares_of_log[name] += squares.sum(axis=1), squares_as_logged.sum(axis=1)
+            torque_sums_of_log += measured.sum(axis=1), np.square(measured).sum(axis=1)
             residual = measured - next(iter(predicted.values()))
             correlations.add(residual, measured, stride, log.dt)
             curves = {"measured": measured, "residual": residual, **predicted}
             t = batch.motion.t[inner] + log.start
             envelope.add(t, {**curves, **_posture_curves(batch.motion, inner)} if angles else curves)
+        for name, (in_band, as_logged) in squares_of_log.items():
+            errors[name].sum_squares_in_band += is_known * in_band
+            errors[name].sum_squares_as_logged += is_known * as_logged
+            errors[name].known_samples += is_known * samples_of_log
+        torque_sums += is_known * torque_sums_of_log
+        known_samples += is_known * samples_of_log
         traces.append(envelope.trace(log.path.name))
         second += _seconds(run, held_out)
     mean, square = torque_sums / np.maximum(known_samples, 1)
@@ -171,8 +181,8 @@ def _seconds(run: Run, held_out: bool) -> int:
     return int(samples * run.signals.log.dt) + 1
 
 
-def _predict(experiment: Experiment, batch: Batch, models: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
-    """Measured torque and each model's, in the band, at every sample."""
+def _predict(experiment: Experiment, batch: Batch, models: Mapping[str, Array]) -> tuple[Array, dict[str, Array], Mask]:
+    """Measured torque and each model's, in the band, at every sample; and which rows are known, shape (nv,)."""
     thetas = np.stack(list(models.values()))
-    measured, predicted = experiment.equation.compared_torques(batch, thetas)
-    return measured, dict(zip(models, predicted, strict=True))
+    measured, predicted, is_known = experiment.equation.compared_torques(batch, thetas)
+    return measured, dict(zip(models, predicted, strict=True)), is_known

@@ -26,13 +26,6 @@ from idtool.estimation.uncertainty.repeatability import Repeatability, repeatabi
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
 from idtool.robot.inertia import PI_SIZE
 
-_BIAS_UNCHECKED = Notice(
-    "bias_unchecked",
-    "note",
-    None,
-    "least squares was not checked for bias: the logs are too long, or no instruments are available",
-    "see --method iv",
-)
 _AGREEMENT = 1.5  # ratio of two standard errors of the same coefficient, above which they do not agree
 _UNKNOWN_SHARE = 0.01  # of the samples, above which a joint's prediction is warned of
 _TINY = float(np.finfo(float).tiny)
@@ -176,7 +169,7 @@ def uncertainty_analysis(
         *_repeatability_notices(logs),
         *_mass_notices(parameters, experiment),
         *_bias_notices(bias, is_instrumental),
-        *([_BIAS_UNCHECKED] if thorough and pair is None else []),
+        *([_bias_unchecked(experiment)] if thorough and pair is None else []),
         *_prediction_notices(torque_errors, equation.joints),
     )
     return UncertaintyAnalysis(
@@ -274,6 +267,15 @@ def _bias_notices(bias: BiasCheck | None, is_instrumental: bool) -> list[Notice]
     if not is_instrumental:
         advice = "noise in q and v biases them, or the model lacks something; see --method iv"
     return [*notices, Notice("biased_parameters", "warning", None, f"{differ} by more than their intervals", advice)]
+
+
+def _bias_unchecked(experiment: Experiment) -> Notice:
+    """Notice that least squares was not checked for bias, and why."""
+    if not experiment.model.has_only_joints:
+        what = "least squares was not checked for bias: this needs a fixed base and no wrench sensors"
+        return Notice("bias_unchecked", "note", None, what)
+    what = "least squares was not checked for bias: the logs are too long, or no instruments are available"
+    return Notice("bias_unchecked", "note", None, what, "see --method iv")
 
 
 def _prediction_notices(torque_errors: Prediction, joints: Sequence[str]) -> list[Notice]:

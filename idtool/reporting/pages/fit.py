@@ -90,9 +90,10 @@ def fit_page(
     views = report_views(report.bodies)
     robot = robot_view(fit.experiment.model, views["bodies"], fit.evaluation.traces)
     gap = max(abs(report.solver.duality_gap), ROUNDING)
+    known_rms = {name: error for name in report.joints if (error := rms[name]) is not None}
     worse = []
     if held_out and prior_rms:
-        worse = [name for name in report.joints if rms[name] >= prior_rms[name]]
+        worse = [name for name, error in known_rms.items() if error >= (prior_rms[name] or 0.0)]
     automatic = report.regularization.automatic
     shown_if = {_RESIDUALS: bool(residual_maps), _EFFECTS: bool(report.effects), _PRIOR: automatic is not None}
     shown_if[_WHOLE_ROBOT] = report.whole_robot is not None
@@ -115,7 +116,7 @@ def fit_page(
         **uncertainty_view(report),
         where="On the held-out data" if held_out else "On the data that the model was fitted to",
         worse=worse,
-        worst=max(report.joints, key=lambda name: rms[name]),
+        worst=max(report.joints, key=lambda name: known_rms.get(name, 0.0)),
         determined=fit.uncertainty.identifiable,
         gap=gap,
         certified=gap <= GAP,

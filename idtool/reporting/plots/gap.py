@@ -35,6 +35,8 @@ def gap_figures(report: DiagnosisReport) -> list[Figure]:
     lengths = {"overall": common_unit(position_units(report.units)), **position_units(report.units)}
     figures = []
     for joint, unit in torque_units.items():
+        if torques[-1][joint] is None:  # its torque is not known
+            continue
         rollout = None
         if any(rollouts):
             errors = [error[joint] if error else None for error in rollouts]

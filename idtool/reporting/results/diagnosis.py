@@ -32,7 +32,7 @@ ByState = Annotated[ReadOnly[Vector], Keys("state")]
 
 
 class ErrorLevel(Record):
-    """RMS errors of a model by joint; `overall` is the RMS over all joints and samples."""
+    """RMS errors of a model by joint, null where its torque is not known; `overall` is the RMS over all others."""
 
     train: ByJointOrNone = field("Torque error on the fitted data [N·m or N].")
     validation: ByJointOrNone | None = field("Torque error on held-out data; null if nothing was held out.")

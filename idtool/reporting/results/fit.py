@@ -27,13 +27,13 @@ from idtool.robot.inertia import symmetric_matrix
 
 
 class TorqueErrors(Record):
-    """RMS torque errors by joint; `overall` is the RMS over all joints and samples."""
+    """RMS torque errors by joint, null where nothing is known of its torque; `overall` is the RMS over all others."""
 
-    train: ByJoint = field("Error of the identified model on the fitted data [N·m or N].")
-    validation: ByJoint | None = field(
+    train: ByJointOrNone = field("Error of the identified model on the fitted data [N·m or N].")
+    validation: ByJointOrNone | None = field(
         "Error of the identified model on the held-out data; null if nothing was held out."
     )
-    prior_validation: ByJoint | None = field("Error of the original URDF on the held-out data.")
+    prior_validation: ByJointOrNone | None = field("Error of the original URDF on the held-out data.")
 
 
 class CorrelatedParameter(Record):

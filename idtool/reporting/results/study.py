@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from idtool.reporting.results.base import (
-    ByJoint,
+    ByJointOrNone,
     Keys,
     ReadOnly,
     Record,
@@ -18,10 +18,10 @@ from idtool.reporting.results.base import (
 
 
 class StudyErrors(Record):
-    """RMS torque errors by joint; `overall` is the RMS over all joints and samples."""
+    """RMS torque errors by joint, null where nothing is known of its torque; `overall` is the RMS over all others."""
 
-    train: ByJoint = field("Error on the fitted data [N·m or N].")
-    validation: ByJoint = field("Error on held-out data.")
+    train: ByJointOrNone = field("Error on the fitted data [N·m or N].")
+    validation: ByJointOrNone = field("Error on held-out data.")
 
 
 class SetReport(Record):

@@ -21,10 +21,10 @@ from idtool.reporting.results.rollouts import Simulation
 
 
 class ModelErrors(Record):
-    """RMS torque errors by joint; `overall` is the RMS over all joints and samples."""
+    """RMS torque errors by joint, null where nothing is known of its torque; `overall` is the RMS over all others."""
 
-    model: ByJoint = field("Error of the model [N·m or N].")
-    prior: ByJoint | None = Field(None, description="Error of the `--prior` URDF; absent without this option.")
+    model: ByJointOrNone = field("Error of the model [N·m or N].")
+    prior: ByJointOrNone | None = Field(None, description="Error of the `--prior` URDF; absent without this option.")
 
     @model_serializer(mode="wrap")
     def _without_absent_prior(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -6,11 +6,11 @@ import difflib
 from collections.abc import Mapping
 from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from idtool.common.exceptions import ConfigError
 
-_MAX_VALUE = 1e12  # SI, of any number: powers of what is larger are not finite
+MAX_VALUE = 1e12  # SI, of any number: powers of what is larger are not finite
 MIN_LENGTH = 1e-6  # m: the inverse square of what is smaller is not finite
 
 
@@ -20,10 +20,25 @@ def _length(x: float) -> float:
     return x
 
 
-Finite = Annotated[float, Field(ge=-_MAX_VALUE, le=_MAX_VALUE, allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, le=_MAX_VALUE, allow_inf_nan=False)]
+def _refuse_truth_value(data: Any) -> Any:
+    if isinstance(data, bool):
+        raise ValueError(f"{str(data).lower()} is not a number")
+    return data
+
+
+def _name(text: str) -> str:
+    if not text.strip():
+        raise ValueError("is empty; give a name, or leave it out")
+    return text
+
+
+# beside the bounds of a number, not around them: pydantic merges bounds with those of the type alone
+NoTruthValue = BeforeValidator(_refuse_truth_value)
+Finite = Annotated[float, Field(ge=-MAX_VALUE, le=MAX_VALUE, allow_inf_nan=False), NoTruthValue]
+Positive = Annotated[float, Field(gt=0, le=MAX_VALUE, allow_inf_nan=False), NoTruthValue]
 Length = Annotated[Positive, AfterValidator(_length)]
-NonNegative = Annotated[float, Field(ge=0, le=_MAX_VALUE, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, le=MAX_VALUE, allow_inf_nan=False), NoTruthValue]
+Name = Annotated[str, AfterValidator(_name)]
 Vector = tuple[Finite, Finite, Finite]
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Positive
+from idtool.robot.config.base import MAX_VALUE, ConfigRecord, NonNegative, NoTruthValue, Positive
 from idtool.robot.config.terms import UncertainValue
 
 _MASS_PRECISION = 5.0  # with an automatic weight
@@ -35,7 +35,7 @@ class Regularization(ConfigRecord):
 
     kind: Literal["none", "euclidean", "entropic", "pullback"] = "entropic"
     weight: Weight = "auto"
-    mass_precision: Annotated[Finite, Field(ge=1)] | None = None
+    mass_precision: Annotated[float, Field(ge=1, le=MAX_VALUE, allow_inf_nan=False), NoTruthValue] | None = None
     units: Literal["relative", "si"] = "relative"
 
     @property

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from idtool.robot.config.base import ConfigRecord, NonNegative, Positive, Vector
+from idtool.robot.config.base import ConfigRecord, Name, NonNegative, NoTruthValue, Positive, Vector
 
 _MAX_WIDENING = 10.0  # s
 _MAX_DELAY = 1.0  # s
@@ -15,7 +15,7 @@ Delay = Annotated[float, Field(ge=-_MAX_DELAY, le=_MAX_DELAY, allow_inf_nan=Fals
 
 
 def _delay(data: object) -> object:
-    is_number = isinstance(data, int | float) and abs(data) <= _MAX_DELAY
+    is_number = isinstance(data, int | float) and not isinstance(data, bool) and abs(data) <= _MAX_DELAY
     if data != "auto" and not is_number:
         raise ValueError(f"{data} is not a delay; give auto, or a number in s of at most {_MAX_DELAY:g}")
     return data
@@ -28,8 +28,8 @@ class Imu(ConfigRecord):
     against the joints [s], which ``auto`` determines.
     """
 
-    link: str | None = None
-    topic: str | None = None
+    link: Name | None = None
+    topic: Name | None = None
     delay: Annotated[Literal["auto"] | Delay, BeforeValidator(_delay)] = "auto"
 
     @property
@@ -46,7 +46,7 @@ class Base(ConfigRecord):
     """
 
     kind: Literal["fixed", "floating"] = "fixed"
-    link: str | None = None
+    link: Name | None = None
     imu: Imu = Imu()
     noise: dict[str, Positive] = Field(default_factory=dict)
 
@@ -61,16 +61,16 @@ class Contact(ConfigRecord):
     the axes of ``frame``; without them, the wrench is unknown.
     """
 
-    name: str
-    link: str
+    name: Name
+    link: Name
     kind: Literal["point", "surface"] = "point"
     point: Vector = (0.0, 0.0, 0.0)
     radius: NonNegative = 0.0
-    flag: str | None = None
-    widen: Annotated[NonNegative, Field(le=_MAX_WIDENING)] = 0.12
+    flag: Name | None = None
+    widen: Annotated[float, Field(ge=0, le=_MAX_WIDENING, allow_inf_nan=False), NoTruthValue] = 0.12
     frame: Literal["world", "link"] = "world"
-    force: tuple[str, str, str] | None = None
-    moment: tuple[str, str, str] | None = None
+    force: tuple[Name, Name, Name] | None = None
+    moment: tuple[Name, Name, Name] | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Contact:

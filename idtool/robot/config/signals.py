@@ -96,7 +96,7 @@ class Filter(ConfigRecord):
 def _delay(data: Any) -> str | float | UncertainValue:
     if data == "auto":
         return "auto"
-    if isinstance(data, str):
+    if isinstance(data, str | bool):
         raise ValueError(f"{data} is not a delay; give auto, or a number in s")
     delay = data if isinstance(data, UncertainValue) else UncertainValue.model_validate(data)
     if delay.value < 0:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator
 
-from idtool.robot.config.base import ConfigRecord, Finite
+from idtool.robot.config.base import ConfigRecord, Finite, Name
 
 Wrench = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
 
@@ -16,7 +16,7 @@ _WRENCH_SIZE = 6
 
 
 def _is_finite(number: object) -> bool:
-    return isinstance(number, int | float) and math.isfinite(number)
+    return isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number)
 
 
 def _offset(data: object) -> object:
@@ -36,10 +36,10 @@ class WrenchSensor(ConfigRecord):
     are the first guess [N, N·m].
     """
 
-    joint: str
-    topic: str | None = None
-    channel: str | None = None
-    frame: str | None = None
+    joint: Name
+    topic: Name | None = None
+    channel: Name | None = None
+    frame: Name | None = None
     sign: Literal[1, -1] = 1
     offset: Annotated[Literal["fit", "none"] | Wrench, BeforeValidator(_offset)] = "fit"
 
