@@ -61,7 +61,11 @@ def _without_coulomb(config: dict[str, Any]) -> None:
 
 
 def _without_rotor(config: dict[str, Any]) -> None:
-    del config["rotors"][f"{_JOINT}_rotor"]
+    """Take the rotor for a part of the link that carries it, as in a URDF whose masses are right."""
+    rotor = config["rotors"].pop(f"{_JOINT}_rotor")
+    mount = true_quadruped(0).mounts[_JOINT]
+    parameters = {**rotor["inertial"], "com": mount.position.tolist()}
+    config["effects"] = [{"effect": "payload", "link": mount.parent, "parameters": parameters}]
 
 
 def cases() -> dict[str, Case]:

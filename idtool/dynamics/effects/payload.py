@@ -197,9 +197,9 @@ def nearest_realizable(c: Array, information: Array) -> Array | None:
 
     With J = L Lᵀ, every L is a body (Rucker & Wensing 2022), so that the search is unconstrained.
     """
-    if not c[0] > _MIN_MASS:
-        return None
     largest = information.diagonal().max()
+    if not (c[0] > _MIN_MASS and largest > 0):
+        return None
     size = np.sqrt(np.maximum(information.diagonal(), np.finfo(float).eps ** 2 * largest))
     values, vectors = np.linalg.eigh(information / size[:, None] / size)
     values = np.maximum(values, _MIN_INFORMATION * values[-1])
