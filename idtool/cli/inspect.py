@@ -23,6 +23,7 @@ def inspect_command(
     """Show the contents of a log, its faults, and their effect on the fit."""
     from idtool.api.inspect import inspect
     from idtool.api.log import Log
+    from idtool.data.base_sensors import sensor_options
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.inspection import show_inspection
     from idtool.robot.config import Config, read_config
@@ -37,7 +38,7 @@ def inspect_command(
             topic=options.topic,
             columns=options.columns,
             scale=dict(options.scale),
-            sensors=settings.base.kind == "floating" or bool(settings.wrench_sensors),
+            sensors=sensor_options(settings) is not None,
             imu_topic=settings.base.imu.topic,
             preset=options.preset,
             fields=options.fields,

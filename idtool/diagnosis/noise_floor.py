@@ -203,7 +203,7 @@ def _residual_samples(
 
 
 def _shares(equation: LinearModel, batch: Batch) -> Array:
-    """Share of each row's noise, as power, that unknown contact forces leave; 1 with a fixed base; shape (nv, n)."""
+    """Share of each row's noise, as power, that unknown contact forces leave; 1 without contacts; shape (nv, n)."""
     if equation.contacts is None:
         return np.ones((len(equation.joints), len(batch.t)))
     return np.stack(equation.row_filter(batch).shares)

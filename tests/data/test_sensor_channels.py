@@ -13,6 +13,7 @@ from mcap.records import Schema
 
 from idtool.common.exceptions import LogError
 from idtool.data.base_sensors import BaseSensors, needed_channels
+from idtool.data.contact_channels import ContactChannels
 from idtool.data.filters import DIFFERENCE_REACH
 from idtool.data.logs import JointLog, make_log, read_log
 from idtool.data.logs.log import Channel
@@ -101,7 +102,7 @@ def test_sign_of_a_quaternion_means_nothing() -> None:
     config = config_of(contacts=[{"name": "foot", "link": "calf", "radius": 0.02}])
     log = with_sensors(log_of({**channels, **still}), needed_channels(config))
     at = np.arange(0.1, 1.9, DT)
-    found = BaseSensors(log, config, ROOT).contacts(at, identity).world_to_base
+    found = BaseSensors(log, config, ROOT).world_to_base(at)
     expected = np.stack([0 * at, np.sin(1.5 * np.pi * at), np.cos(1.5 * np.pi * at)])
     np.testing.assert_allclose(found[:, 2], expected, atol=1e-4)
 
@@ -141,7 +142,7 @@ def test_flag_is_widened_at_both_ends() -> None:
     config = config_of(contacts=[contact, {"name": "rope", "link": "trunk", "kind": "surface"}])
     log = with_sensors(log_of({"contact_foot": flag, **still}), needed_channels(config))
     at = np.arange(0.2, 1.8, DT)
-    is_closed = BaseSensors(log, config, ROOT).contacts(at, identity).is_closed
+    is_closed = ContactChannels(config.contacts, log.channels, None).samples(at, identity).is_closed
     first, last = at[is_closed[0]][[0, -1]]
     assert (first, last) == pytest.approx((0.4, 1.1), abs=2e-3)
     assert is_closed[1].all()  # without a flag, always

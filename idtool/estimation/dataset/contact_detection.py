@@ -17,6 +17,7 @@ from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import BaseSensors
+from idtool.data.contact_channels import ContactChannels
 from idtool.data.logs.log import Channel, JointLog
 from idtool.data.signals import Batch, Signals
 from idtool.data.wrench_channels import WrenchChannels
@@ -114,7 +115,8 @@ def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[
     settings = config.model_copy(update={"contacts": always_unknown})
     base_sensors = BaseSensors.of_log(log, model, settings)
     wrench_channels = WrenchChannels.of_log(log, model, settings)
-    signals = Signals(log, model.joint_names, settings, base_sensors, wrench_channels)
+    contact_channels = ContactChannels.of_log(log, settings, base_sensors)
+    signals = Signals(log, model.joint_names, settings, base_sensors, wrench_channels, contact_channels)
     contact_model = ContactModel(model, always_unknown, noise=np.ones(len(model.joints)))
     times = []
     forces = []
