@@ -255,6 +255,10 @@ class Experiment:
             longest = max(lengths, default=0.0)
             what = f"no part without gaps is long enough for the filter; the longest lasts {longest:.3g} s"
             raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect shows where samples are missing")
+        if self.equation.contacts is not None:
+            what = "whenever the joints move, unknown contact forces can explain all torques"
+            advice = "measure these forces, give the contact a flag, or log a motion without contact"
+            raise LogError(self.runs[0].signals.log.path, f"{what}; {advice}")
         if still:
             what = "hardly moves in the part of the logs that is used for the fit"
             if effects := dict.fromkeys(entry.effect for entry in self.config.effects):
