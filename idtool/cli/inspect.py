@@ -15,7 +15,8 @@ from idtool.cli.options import LOG_FORMATS, JsonOption, QuietOption, finish
 def inspect_command(
     log: Annotated[Path, typer.Argument(metavar="LOG", help=f"A log ({LOG_FORMATS}).", show_default=False)],
     config: Annotated[
-        Path | None, typer.Option("--config", help="Configuration; only its log and base sections are used.")
+        Path | None,
+        typer.Option("--config", help="Configuration; only its sections on logs, base, contacts and sensors are used."),
     ] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,

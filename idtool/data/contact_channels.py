@@ -25,8 +25,8 @@ class ContactSamples:
     is_closed
         True where a contact may act: its flag, widened, is set, or it has none; shape (contacts, N).
     wrenches
-        Measured force and moment on the link, along the axes of the contact's ``frame``, shape (contacts, 6, N)
-        [N, N·m]; 0 if they were not measured.
+        Measured force and moment on the link by what it touches, along the axes of the contact's ``frame``, shape
+        (contacts, 6, N) [N, N·m]; 0 if they were not measured.
     """
 
     world_to_base: Array
@@ -84,9 +84,9 @@ class ContactChannels:
             if contact.flag_channel is not None:
                 is_closed[k] = self.channels[contact.flag_channel].is_set(inner, contact.widen)
             if contact.force is not None:
-                wrenches[k, :3] = smooth(self._values(contact.force, t))
+                wrenches[k, :3] = contact.sign * smooth(self._values(contact.force, t))
             if contact.moment is not None:
-                wrenches[k, 3:] = smooth(self._values(contact.moment, t))
+                wrenches[k, 3:] = contact.sign * smooth(self._values(contact.moment, t))
         return ContactSamples(self._world_to_base(inner), is_closed, wrenches)
 
     def _values(self, names: Sequence[str], t: Array) -> Array:

@@ -133,6 +133,21 @@ def test_lever_arm_and_delay_of_the_imu_are_undone() -> None:
     np.testing.assert_allclose(a[5], 10 * np.cos(5 * inner), atol=1e-3)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_wrench_is_that_on_the_link(sign: int) -> None:
+    """Measured on the link, or on what it touches."""
+    t = np.arange(0, 2.0, DT)
+    names = [f"force_plate_{part}" for part in ("x", "y", "z", "mx", "my", "mz")]
+    plate = {name: Channel(t, (k + 1) * np.sin(t)) for k, name in enumerate(names)}
+    contact = {"name": "tool", "link": "calf", "kind": "surface", "force": names[:3], "moment": names[3:], "sign": sign}
+    config = config_of(base={"kind": "fixed"}, contacts=[contact])
+    assert needed_channels(config) == tuple(names)
+    log = with_sensors(log_of(plate), needed_channels(config))
+    at = np.arange(0.2, 1.8, DT)
+    samples = ContactChannels(config.contacts, log.channels, None).samples(at, identity)
+    np.testing.assert_allclose(samples.wrenches[0], sign * np.outer(np.arange(1, 7), np.sin(at)), atol=1e-6)
+
+
 def test_flag_is_widened_at_both_ends() -> None:
     """Set from 0.5 s to 1.0 s, and logged at a rate of 20 Hz."""
     t = np.arange(0, 2.0, 0.05)

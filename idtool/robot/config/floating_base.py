@@ -58,7 +58,8 @@ class Contact(ConfigRecord):
     ``radius`` [m] it is the centre of a ball, whose lowest point is the contact. ``flag`` names the log's channel that
     tells when it is closed; without one, it always is, and with ``auto`` the torque of the leg tells. A flag is widened
     by ``widen`` [s] at both ends. ``force`` and ``moment`` name the channels of a measured wrench on the link, along
-    the axes of ``frame``; without them, the wrench is unknown. With a fixed base, the world has the axes of the root
+    the axes of ``frame``, or with the ``sign`` −1 that of the link on what it touches; without them, the wrench is
+    unknown. With a fixed base, the world has the axes of the root
     link, and gravity tells which point of a ball is the lowest.
     """
 
@@ -72,6 +73,7 @@ class Contact(ConfigRecord):
     frame: Literal["world", "link"] = "world"
     force: tuple[str, str, str] | None = None
     moment: tuple[str, str, str] | None = None
+    sign: Literal[1, -1] = 1
 
     @model_validator(mode="after")
     def _consistent(self) -> Contact:
