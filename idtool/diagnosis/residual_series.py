@@ -133,7 +133,8 @@ def _chunk(models: Models, batch: Batch, log_start: float, dt: float, starts_seg
         measured_torque, predicted_torque = equation.compared_torques(batch, theta)
         predicted.append(predicted_torque)
         residuals.append(measured_torque - predicted_torque)
-        valid.append(np.stack(equation.row_filter(batch).shares) > MIN_SHARE)
+        shares = np.array(equation.row_filter(batch).shares, dtype=float)
+        valid.append(shares > MIN_SHARE)
     return ResidualSeries(
         t=batch.t + log_start,
         dt=np.full(len(batch.t), dt),

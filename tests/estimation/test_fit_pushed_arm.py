@@ -109,6 +109,26 @@ def test_wrist_sensor_and_a_measured_push_tell_what_the_sensor_carries(folder: P
     assert carried == pytest.approx(TRUE_MASS["upper"] + TRUE_MASS["hand"], rel=0.015)
 
 
+@pytest.mark.parametrize("flag", ["contact_tool", None])
+def test_wrist_sensor_beside_an_unknown_force_tells_what_it_carries(folder: Path, flag: str | None) -> None:
+    """Three unknown components in nine rows.
+
+    A force that may act all the time can carry any weight, but leaves the moment of this weight about its point. In the
+    frame of the hand, that of the upper half changes as if its mass were at the axis of the hand.
+    """
+    model = model_of(folder, {**UNKNOWN, "flag": flag}, wrench_sensors=[{"joint": SENSOR, "offset": "none"}])
+    result = idtool.fit(model, folder / "touched.csv", quick=True)
+    upper, hand = result.bodies["upper"], result.bodies["hand"]
+    true_carried = TRUE_MASS["upper"] + TRUE_MASS["hand"]
+    if flag is not None:
+        assert upper.mass + hand.mass == pytest.approx(true_carried, rel=0.015)
+    moment = hand.mass * hand.com[0] - (upper.mass + hand.mass) * PUSH.point[0]
+    true_moment = HAND.mass * HAND.com[0] - true_carried * PUSH.point[0]
+    assert moment == pytest.approx(true_moment, rel=0.015)
+    for name in JOINTS:
+        assert result.friction[name].coulomb == pytest.approx(COULOMB, abs=0.006)
+
+
 def test_simulation_is_only_of_the_time_without_a_push(folder: Path) -> None:
     friction = {name: {"viscous": 0.0, "coulomb": COULOMB} for name in JOINTS}
     result = idtool.validate(model_of(folder, UNKNOWN, urdf="arm.urdf", friction=friction), folder / "touched.csv")

@@ -177,7 +177,7 @@ class Experiment:
 
     @property
     def has_only_joints(self) -> bool:
-        """True if nothing but joints moves, and nothing but their torque is measured or acts."""
+        """True for a robot without a floating base, wrench sensors and contacts."""
         return self.equation.contacts is None and self.model.joint_count == len(self.model.joints)
 
     def batches(self, run: Run, held_out: bool) -> Iterator[Batch]:
@@ -248,14 +248,16 @@ class Experiment:
         unknown = {name for run in self.runs for name in run.signals.log.unknown_torque}
         rows = zip(self.equation.joints, data, strict=True)
         still = [name for name, factor in rows if not factor.rows and name not in unknown]
-        if self.equation.contacts is not None and len(still) < len(data):
+        has_unknown_forces = any(not contact.is_measured for contact in self.config.contacts)
+        may_lack_rows = has_unknown_forces or self.model.has_floating_base
+        if may_lack_rows and len(still) < len(data):
             return data  # contact forces may leave nothing of a row
         if len(still) == len(data) and not self.samples(held_out=False):
             lengths = [(part.stop - part.start) * run.signals.log.dt for run in self.runs for part in run.train]
             longest = max(lengths, default=0.0)
             what = f"no part without gaps is long enough for the filter; the longest lasts {longest:.3g} s"
             raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect shows where samples are missing")
-        if self.equation.contacts is not None:
+        if has_unknown_forces:
             what = "whenever the joints move, unknown contact forces can explain all torques"
             advice = "measure these forces, give the contact a flag, or log a motion without contact"
             raise LogError(self.runs[0].signals.log.path, f"{what}; {advice}")

@@ -91,7 +91,7 @@ class Config(ConfigRecord):
             raise ConfigError("base.kind: floating", f"{what}; {supported}")
 
     def require_only_joints(self, command: str) -> None:
-        """Raise ConfigError if there is more than joints and their torque, which the command cannot handle."""
+        """Raise ConfigError for a floating base, contacts or wrench sensors, which the command cannot handle."""
         self.require_fixed_base(command)
         for key in ("contacts", "wrench_sensors"):
             if getattr(self, key):

@@ -59,8 +59,8 @@ class Contact(ConfigRecord):
     tells when it is closed; without one, it always is, and with ``auto`` the torque of the leg tells. A flag is widened
     by ``widen`` [s] at both ends. ``force`` and ``moment`` name the channels of a measured wrench on the link, along
     the axes of ``frame``, or with the ``sign`` −1 that of the link on what it touches; without them, the wrench is
-    unknown. With a fixed base, the world has the axes of the root
-    link, and gravity tells which point of a ball is the lowest.
+    unknown. With a fixed base, the world has the axes of the root link, and gravity tells which point of a ball is the
+    lowest.
     """
 
     name: str
