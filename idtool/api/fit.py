@@ -193,7 +193,7 @@ def fit_experiment(
     solved = run_fit(experiment, progress, simulate, analyze_uncertainty, method)
     maps = None
     if analyze_uncertainty:
-        if experiment.model.has_only_joints:  # those of a floating base would be sought with a fixed one
+        if experiment.has_only_joints:  # they are sought without the motion of a base and without contacts
             faults = find_data_faults(experiment, progress)
             uncorrectable = [fault for fault in faults if fault.code in _UNCORRECTABLE_FAULTS]
             solved = replace(solved, notices=(*uncorrectable, *solved.notices))

@@ -1,4 +1,4 @@
-"""`BaseSensors`: motion of a floating base and of its contacts, from the channels of a log.
+"""`BaseSensors`: motion of a floating base, from the channels of its IMU in a log.
 
 Everything is along the axes of the base's frame. The velocity of the base's origin is not measured, and not needed: the
 equation of motion holds in every frame that moves uniformly, so that it may be 0 at every sample. The acceleration is
@@ -11,12 +11,11 @@ those of the log's own stamps.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from idtool.common.arrays import Array, Mask
+from idtool.common.arrays import Array
 from idtool.data.filters import DIFFERENCE_REACH, differentiate
 from idtool.data.logs.log import JointLog
 from idtool.data.logs.sensor_channels import SensorOptions
@@ -30,35 +29,9 @@ ACCELEROMETER = ("imu_ax", "imu_ay", "imu_az")
 ORIENTATION = ("imu_qx", "imu_qy", "imu_qz", "imu_qw")
 
 
-@dataclass(frozen=True)
-class ContactSamples:
-    """The contacts of a robot at N samples.
-
-    Attributes
-    ----------
-    world_to_base
-        Rotation of the world's axes, z upward, into the base's frame, shape (3, 3, N).
-    is_closed
-        True where a contact may act: its flag, widened, is set, or it has none; shape (contacts, N).
-    wrenches
-        Measured force and moment on the link, along the axes of the contact's ``frame``, shape (contacts, 6, N)
-        [N, N·m]; 0 if they were not measured.
-    """
-
-    world_to_base: Array
-    is_closed: Mask
-    wrenches: Array
-
-    def every(self, stride: int) -> ContactSamples:
-        """One of every ``stride`` samples."""
-        return ContactSamples(
-            self.world_to_base[..., ::stride], self.is_closed[:, ::stride], self.wrenches[..., ::stride]
-        )
-
-
 def sensor_options(config: Config) -> SensorOptions | None:
     """Options for reading the sensors of a robot from a log; None if it has none."""
-    if config.base.kind == "fixed" and not config.wrench_sensors:
+    if not (config.base.kind == "floating" or config.contacts or config.wrench_sensors):
         return None
     return SensorOptions(imu_topic=config.base.imu.topic)
 
@@ -71,10 +44,9 @@ def needed_channels(config: Config) -> tuple[str, ...]:
 def channels_by_sensor(config: Config) -> list[tuple[str, tuple[str, ...]]]:
     """The same channels by what they belong to: joint of a wrench sensor, ``imu``, name of a contact."""
     sensors = [(sensor.joint, sensor.logged_channels) for sensor in config.wrench_sensors]
-    if config.base.kind == "fixed":
-        return sensors
-    needs_orientation = any(contact.needs_orientation for contact in config.contacts)
-    sensors.append(("imu", (*GYROSCOPE, *ACCELEROMETER, *(ORIENTATION if needs_orientation else ()))))
+    if config.base.kind == "floating":
+        needs_orientation = any(contact.needs_orientation for contact in config.contacts)
+        sensors.append(("imu", (*GYROSCOPE, *ACCELEROMETER, *(ORIENTATION if needs_orientation else ()))))
     return sensors + [(contact.name, contact.logged_channels) for contact in config.contacts]
 
 
@@ -94,19 +66,17 @@ class BaseSensors:
     Parameters
     ----------
     log
-        The log, with all channels that are needed.
+        The log, with the channels of the IMU.
     config
-        The configuration: its IMU and its contacts.
+        The configuration of its IMU.
     imu_frame
         Frame of the IMU in the base's.
     """
 
     def __init__(self, log: JointLog, config: Config, imu_frame: Frame) -> None:
         self._channels = log.channels
-        self._contacts = config.contacts
         self._imu_frame = imu_frame
         self._imu_delay = config.base.imu.known_delay
-        self._has_orientation = any(contact.needs_orientation for contact in config.contacts)
 
     @classmethod
     def of_log(cls, log: JointLog, model: RobotModel, config: Config) -> BaseSensors | None:
@@ -147,29 +117,14 @@ class BaseSensors:
         acceleration = np.concatenate([f_at_base, alpha])
         return velocity, acceleration
 
-    def contacts(self, t: Array, smooth: Callable[[Array], Array]) -> ContactSamples:
-        """The contacts at the samples.
-
-        Parameters
-        ----------
-        t
-            Times [s] of the samples and of those about them that ``smooth`` takes.
-        smooth
-            Zero-phase low-pass of the signals; it drops as many samples at both ends.
-        """
-        filtered_count = smooth(t[None]).shape[1]
-        margin = (len(t) - filtered_count) // 2
-        inner = t[margin : len(t) - margin]
-        is_closed = np.ones((len(self._contacts), len(inner)), dtype=bool)
-        wrenches = np.zeros((len(self._contacts), 6, len(inner)))
-        for k, contact in enumerate(self._contacts):
-            if contact.flag_channel is not None:
-                is_closed[k] = self._channels[contact.flag_channel].is_set(inner, contact.widen)
-            if contact.force is not None:
-                wrenches[k, :3] = smooth(self._values(contact.force, t))
-            if contact.moment is not None:
-                wrenches[k, 3:] = smooth(self._values(contact.moment, t))
-        return ContactSamples(self._world_to_base(inner), is_closed, wrenches)
+    def world_to_base(self, t: Array) -> Array:
+        """Rotation of the world's axes, z upward, into the base's frame at times [s], shape (3, 3, N)."""
+        quaternions = self._imu(ORIENTATION, t)
+        imu_to_world = Rotation.from_quat(quaternions.T).as_matrix()
+        base_to_imu = self._imu_frame.R.T
+        base_to_world = imu_to_world @ base_to_imu
+        world_to_base = base_to_world.transpose(0, 2, 1)
+        return np.moveaxis(world_to_base, 0, -1)
 
     def _values(self, names: Sequence[str], t: Array) -> Array:
         """Values of channels at times, shape (channels, N)."""
@@ -178,14 +133,3 @@ class BaseSensors:
     def _imu(self, names: Sequence[str], t: Array) -> Array:
         """Values of the IMU's channels, whose stamps are late, at times."""
         return self._values(names, t + self._imu_delay)
-
-    def _world_to_base(self, t: Array) -> Array:
-        """Rotation of the world's axes into the base's frame, shape (3, 3, N); the identity if no contact needs it."""
-        if not self._has_orientation:
-            return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(t)))
-        quaternions = self._imu(ORIENTATION, t)
-        imu_to_world = Rotation.from_quat(quaternions.T).as_matrix()
-        base_to_imu = self._imu_frame.R.T
-        base_to_world = imu_to_world @ base_to_imu
-        world_to_base = base_to_world.transpose(0, 2, 1)
-        return np.moveaxis(world_to_base, 0, -1)

@@ -19,9 +19,10 @@ from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
-from idtool.data.base_sensors import BaseSensors, ContactSamples
+from idtool.data.base_sensors import BaseSensors
 from idtool.data.channels import Channels
 from idtool.data.column_cache import KeptColumns
+from idtool.data.contact_channels import ContactChannels, ContactSamples
 from idtool.data.controller import JointController
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate, noise_above_band
 from idtool.data.logs.log import JointLog
@@ -69,7 +70,7 @@ class Motion:
     log
         File name of the log; empty: the motion is of no log.
     contacts
-        Contacts of a robot with a floating base; None: it has none.
+        Contacts; None: the base is fixed, and there are none.
     unknown_torque
         Joints whose torque is not known.
     """
@@ -153,6 +154,8 @@ class Signals:
         Sensors of a floating base; None: it is fixed.
     wrench_channels
         Sensors of wrenches; None: there are none.
+    contact_channels
+        Contacts; None: the base is fixed, and there are none.
     unknown_torque
         Joints whose torque was not logged.
 
@@ -168,6 +171,8 @@ class Signals:
         Sensors of a floating base, whose coordinates come after all others; None: the base is fixed.
     wrench_channels
         Sensors of wrenches, whose coordinates come after the joints; None: there are none.
+    contact_channels
+        Contacts; None: the base is fixed, and there are none.
 
     Raises
     ------
@@ -184,10 +189,12 @@ class Signals:
         config: Config,
         base_sensors: BaseSensors | None = None,
         wrench_channels: WrenchChannels | None = None,
+        contact_channels: ContactChannels | None = None,
     ) -> None:
         self.log = log
         self.base_sensors = base_sensors
         self.wrench_channels = wrench_channels
+        self.contact_channels = contact_channels
         self.joints = tuple(joints)
         self.unknown_torque = tuple(j for j, name in enumerate(self.joints) if name in log.unknown_torque)
         self.notices: list[Notice] = []
@@ -351,7 +358,7 @@ class Signals:
             log=self.log.path.name,
             unknown_torque=self.unknown_torque,
         )
-        if self.wrench_channels is None and self.base_sensors is None:
+        if self.wrench_channels is None and self.base_sensors is None and self.contact_channels is None:
             return motion
         margin = self._margin
         outer = self.channels.times(slice(part.start - margin, part.stop + margin))
@@ -364,7 +371,8 @@ class Signals:
         if self.base_sensors is not None:
             v, a = self.base_sensors.kinematics(outer, self.log.dt, self._smooth)
             motion = _with_coordinates(motion, v, a, np.zeros_like(v))
-            motion = replace(motion, contacts=self.base_sensors.contacts(inner, self._smooth))
+        if self.contact_channels is not None:
+            motion = replace(motion, contacts=self.contact_channels.samples(inner, self._smooth))
         return motion
 
     def _kinematics(self, part: slice, from_position: Mask) -> tuple[Array, Array, Array]:

@@ -109,7 +109,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     first = fit(model, progress)
     no_notices: tuple[Notice, ...] = ()
     check = Background(partial(find_data_faults, experiment))
-    can_simulate = options.simulate and model.model.has_only_joints
+    can_simulate = options.simulate and model.has_only_joints
     with check, _begin_simulation(first, can_simulate) as simulation:
         search = _run_search(model, options, progress)
         stages = Stages(interrupted=search.is_interrupted)

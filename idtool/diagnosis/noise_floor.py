@@ -20,6 +20,7 @@ from scipy.signal import periodogram
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Batch
+from idtool.diagnosis.residual_series import MIN_SHARE
 from idtool.dynamics.linearized_model import LinearizedModel
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
@@ -33,7 +34,6 @@ _QUIET_OF_MEAN = -np.log(1 - _QUIET)  # that quantile over the mean: periodogram
 _MIN_WINDOWS = 12
 _MAX_UNDEFINED_SHARE = 0.03  # of a filtered sample's weight, where an effect other than friction is undefined
 _MAX_COLOUR = 15.0  # ratio of the residual's slow power to that of white noise, up to which it may be noise
-_MIN_SHARE = 0.05  # of a row, that tells its noise where contact forces leave no more of it
 _MIN_MOVING = 0.7  # share of a window in which the joint moves
 
 
@@ -195,15 +195,15 @@ def _residual_samples(
             unknowable = _unknowable_torque(model, batch)
             for j in range(joint_count):
                 resting[j].append((residual[j, ~moving[j]], unknowable[j, ~moving[j]]))
-                is_known = moving[j] & (shares[j] > _MIN_SHARE)
-                of_whole_row = residual[j] / np.sqrt(np.maximum(shares[j], _MIN_SHARE))
+                is_known = moving[j] & (shares[j] > MIN_SHARE)
+                of_whole_row = residual[j] / np.sqrt(np.maximum(shares[j], MIN_SHARE))
                 periodograms[j] += _periodograms(of_whole_row, is_known, dt)
     share = share_sum / np.maximum(moving_count, 1)
     return _ResidualSamples(moving_squares, moving_count, share, resting, periodograms)
 
 
 def _shares(equation: LinearModel, batch: Batch) -> Array:
-    """Share of each row's noise, as power, that unknown contact forces leave; 1 with a fixed base; shape (nv, n)."""
+    """Share of each row's noise, as power, that unknown contact forces leave; 1 without contacts; shape (nv, n)."""
     if equation.contacts is None:
         return np.ones((len(equation.joints), len(batch.t)))
     return np.stack(equation.row_filter(batch).shares)

@@ -20,6 +20,8 @@ from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 
 Models = Sequence[tuple[LinearModel, Array]]
 
+MIN_SHARE = 0.05  # of a row, that tells its noise where contact forces leave no more of it
+
 _MAX_NUMBERS = 2e7  # in memory
 
 
@@ -131,7 +133,8 @@ def _chunk(models: Models, batch: Batch, log_start: float, dt: float, starts_seg
         measured_torque, predicted_torque, _ = equation.compared_torques(batch, theta)
         predicted.append(predicted_torque)
         residuals.append(measured_torque - predicted_torque)
-        valid.append(np.stack(equation.valid_samples(batch)))
+        shares = np.array(equation.row_filter(batch).shares, dtype=float)
+        valid.append(shares > MIN_SHARE)
     return ResidualSeries(
         t=batch.t + log_start,
         dt=np.full(len(batch.t), dt),

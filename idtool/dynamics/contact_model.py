@@ -1,6 +1,7 @@
-"""`ContactModel`: contacts in the equation of motion of a robot with a floating base.
+"""`ContactModel`: contacts in the equation of motion of a robot.
 
-Its nv rows are those of the joints and, after them, the six of the base; it is linear in the parameters pi:
+Its nv rows are those of the joints and, with a floating base, the six of the base after them; it is linear in the
+parameters pi:
 
     Y pi = [tau; 0] + Σ Jᵢᵀ Fᵢ  (1)
 
@@ -25,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
-from idtool.data.base_sensors import ContactSamples
+from idtool.data.contact_channels import ContactSamples
 from idtool.data.signals import Motion
 from idtool.robot.config import Contact
 from idtool.robot.kinematics import BodyJacobian, BodyMotion, body_jacobians, body_motions, cross, rotate
@@ -35,6 +36,7 @@ from idtool.robot.model import RobotModel
 # exerts nothing.
 _RIDGE = 1e-11
 _MIN_WEIGHT_SHARE = 0.02  # of the robot's weight: a smaller measured force is noise
+_MIN_ARM = 0.1  # m, at which such a force makes the smallest moment that is more than noise
 _GRAVITY = 9.81  # m/s²
 
 
@@ -45,7 +47,7 @@ class ContactModel:
     Attributes
     ----------
     model
-        The tree of bodies, with a floating base.
+        The tree of bodies.
     contacts
         The contacts, in the order of those in `ContactSamples`.
     noise
@@ -69,7 +71,8 @@ class ContactModel:
                 continue
             is_loaded = contact_samples.is_closed[i]
             if contact.is_measured:
-                is_loaded = is_loaded & (np.linalg.norm(contact_samples.wrenches[i, :3], axis=0) > least)
+                force, moment = np.linalg.norm(contact_samples.wrenches[i].reshape(2, 3, -1), axis=1)
+                is_loaded = is_loaded & ((force > least) | (moment > _MIN_ARM * least))
             acts |= is_loaded
         return acts
 
@@ -212,14 +215,20 @@ class ContactModel:
         in_link = np.asarray(contact.point)
         point = (link_frame.p + link_frame.R @ in_link)[:, None]
         if contact.radius:  # a ball touches level ground a radius below its centre
-            up_in_base = contact_samples.world_to_base[:, 2]
-            up = rotate(self._base_to_body(motions, link_frame.body), up_in_base)
+            up = rotate(self._base_to_body(motions, link_frame.body), self._up_in_base(contact_samples))
             point = point - contact.radius * up
         by_rotation = cross(body_jacobian.S_w, point[:, None])
         J_linear = body_jacobian.S_v + by_rotation
         coordinates, count = body_jacobian.S_w.shape[1], contact_samples.is_closed.shape[1]
         shape = (3, coordinates, count)  # a Jacobian that does not depend on q has one sample
         return np.broadcast_to(J_linear, shape), np.broadcast_to(body_jacobian.S_w, shape)
+
+    def _up_in_base(self, contact_samples: ContactSamples) -> Array:
+        """The vertical along the axes of the base, shape (3, N) or (3, 1)."""
+        if self.model.has_floating_base:
+            return contact_samples.world_to_base[:, 2]
+        gravity = self.model.gravity[:, None]
+        return np.asarray(-gravity / np.linalg.norm(gravity))
 
     def _wrench_to_body(
         self, contact: Contact, motions: Sequence[BodyMotion], contact_samples: ContactSamples

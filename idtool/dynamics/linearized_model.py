@@ -43,7 +43,7 @@ class TorqueEquation(Protocol):
 
     @property
     def contacts(self) -> ContactModel | None:
-        """Contacts of a robot with a floating base."""
+        """Contacts; None: the base is fixed, and there are none."""
 
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
@@ -109,7 +109,7 @@ class LinearizedModel:
 
     @property
     def contact_forces(self) -> Array:
-        """Components of the unknown contact forces, shape (k, N) [N or N·m]; k is 0 with a fixed base."""
+        """Components of the unknown contact forces, shape (k, N) [N or N·m]; k is 0 without any."""
         forces, _ = self._contacts
         return forces
 

@@ -49,8 +49,8 @@ class LinearModel:
     operating_point
         Coefficients, by key, for the effects whose columns depend on them; others are taken at their prior.
     contacts
-        Forces at the contacts of a robot with a floating base; None: the base is fixed. Filtered rows are without what
-        the unknown ones can exert, which takes coefficients from one row to another.
+        Forces at the contacts; None: the base is fixed, and there are none. Filtered rows are without what the unknown
+        ones can exert, which takes coefficients from one row to another.
     known_bodies
         Parameters of all bodies, if they are known, shape (10 · bodies,). Then the bodies have no columns in filtered
         rows, and their torque is subtracted from the measured one. None: they are identified.

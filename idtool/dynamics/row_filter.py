@@ -1,6 +1,6 @@
 """`RowFilter`: low-pass and decimation of rows of the torque equation, and the share of each sample that counts.
 
-With a fixed base, each row is filtered by itself. With unknown contact forces, the rows are projected first, so that a
+Without contacts, each row is filtered by itself. With unknown contact forces, the rows are projected first, so that a
 column of one row appears in others too.
 
 Shapes: nv rows, m columns, N samples, n samples after decimation.
@@ -67,7 +67,7 @@ class RowFilter(ABC):
 
 @dataclass(frozen=True)
 class SeparateRows(RowFilter):
-    """Filter of a robot without unknown contact forces: each row by itself.
+    """Filter of a robot without contacts: each row by itself.
 
     Attributes
     ----------

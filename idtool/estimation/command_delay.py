@@ -184,7 +184,8 @@ def _with_known_delay(run: Run, config: Config, delay: float) -> Run:
     train = tuple(run.signals.delayed_ranges(delay, run.train))
     held_out = tuple(run.signals.delayed_ranges(delay, run.held_out))
     before = run.signals
-    signals = Signals(before.log, before.joints, config, before.base_sensors, before.wrench_channels)
+    sensors = (before.base_sensors, before.wrench_channels, before.contact_channels)
+    signals = Signals(before.log, before.joints, config, *sensors)
     return Run(signals, train, held_out)
 
 
@@ -212,9 +213,9 @@ def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay
     by_command = np.any([run.signals.controller.joints for run in experiment.runs if run.train], axis=0)
     if controller is None or not by_command.any():
         return None
-    if experiment.model.has_floating_base:
+    if experiment.equation.contacts is not None:
         if controller.known_delay is None:
-            raise ConfigError("controller.delay", "is not fitted for a floating base; give it in s")
+            raise ConfigError("controller.delay", "is not fitted for a floating base or with contacts; give it in s")
         return None
     equation, equalities, given = experiment.equation, experiment.equalities, controller.known_delay
     lags = _Lags(experiment.band_hz)

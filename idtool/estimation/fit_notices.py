@@ -85,7 +85,7 @@ def _mass_notices(experiment: Experiment, identification: Identification) -> Ite
     total = sum(float(pi[0]) for _, pi in _bodies(identification))
     if measured is None and prior > 0 and not 1 - _TOTAL_MASS_CHANGE < total / prior < 1 + _TOTAL_MASS_CHANGE:
         message = f"the total mass is {total:.3g} kg, but {prior:.3g} kg in the prior"
-        if experiment.model.has_only_joints:
+        if experiment.has_only_joints:
             message = f"{message}; logs seldom determine it"
         yield Notice("total_mass_changed", "warning", None, message, advice)
     changes = {}

@@ -82,8 +82,8 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
     ModelError
         If the model cannot be simulated, or runs away.
     """
-    if not experiment.model.has_only_joints:
-        raise ModelError("--method iv", "needs a fixed base and no wrench_sensors; use least squares")
+    if not experiment.has_only_joints:
+        raise ModelError("--method iv", "needs a fixed base, no contacts and no wrench_sensors; use least squares")
     signals, controller = run.signals, experiment.config.controller
     kind: Kind
     if controller is not None and all(signals.log.has("qcmd", n) and n in controller.kp for n in signals.joints):

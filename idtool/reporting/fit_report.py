@@ -336,7 +336,7 @@ def model_config(fit: Fit) -> dict[str, Any]:
     contacts = experiment.equation.contacts
     if contacts is not None:
         noise = dict(zip(experiment.equation.joints, round_to_digits(contacts.noise, 4).tolist(), strict=True))
-        data["base"] = {**data["base"], "noise": noise}
+        data["base"] = {**data.get("base", {}), "noise": noise}
     sensors = wrench_sensor_reports(fit)
     for sensor in data.get("wrench_sensors", ()):
         if sensor["joint"] in sensors:

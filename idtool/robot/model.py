@@ -88,11 +88,6 @@ class RobotModel:
         return len(self.joints) - WRENCH_SIZE * (len(self.wrench_sensors) + self.has_floating_base)
 
     @property
-    def has_only_joints(self) -> bool:
-        """True if all coordinates are joints, so that the model can be simulated under the joints' torque."""
-        return len(self.joints) == self.joint_count
-
-    @property
     def base_coordinates(self) -> slice:
         """Coordinates of a floating base."""
         return slice(len(self.joints) - WRENCH_SIZE, len(self.joints))
@@ -282,7 +277,7 @@ class _Builder:
         return sensor.sign * to_body
 
     def _check_base(self) -> None:
-        """Refuse a base, an IMU or a contact on a link that does not exist, or that moves against the base."""
+        """Refuse a base, a sensor or a contact on a link on which it cannot be."""
         base = self.config.base
         on_base = {"base.link": base.link, "base.imu.link": base.imu.link}
         for key, link in on_base.items():
@@ -305,10 +300,14 @@ class _Builder:
                 raise ConfigError(key, f"moves against link {child}; name a link that is fixed to it")
         for i, contact in enumerate(self.config.contacts):
             key = f"contacts.{i}.link: {contact.link}"
-            if base.kind == "fixed":
-                raise ConfigError("contacts", "are for a robot whose base moves; set base: {kind: floating}")
             if contact.link not in self.frames:
                 raise ConfigError(key, f"is not a link of the URDF; {suggestion(contact.link, self.frames)}")
+            if self.frames[contact.link].body < 0:
+                what = "is moved by no joint; remove the contact, or set base: {kind: floating} if the base moves"
+                raise ConfigError(key, what)
+            if base.kind == "fixed" and contact.radius and not any(self.config.gravity):
+                what = "has no lowest point without gravity; set gravity, or give the point of contact"
+                raise ConfigError(f"contacts.{i}.radius: {contact.radius:g}", what)
 
     def _moving_joints(self) -> tuple[UrdfJoint, ...]:
         actuated = {j.name: j for j in self.robot.joints.values() if j.kind != "fixed" and j.mimic is None}

@@ -13,6 +13,7 @@ from mcap.records import Schema
 
 from idtool.common.exceptions import LogError
 from idtool.data.base_sensors import BaseSensors, needed_channels
+from idtool.data.contact_channels import ContactChannels
 from idtool.data.filters import DIFFERENCE_REACH
 from idtool.data.logs import JointLog, make_log, read_log
 from idtool.data.logs.log import Channel
@@ -114,7 +115,7 @@ def test_sign_of_a_quaternion_means_nothing() -> None:
     config = config_of(contacts=[{"name": "foot", "link": "calf", "radius": 0.02}])
     log = with_sensors(log_of({**channels, **still}), needed_channels(config))
     at = np.arange(0.1, 1.9, DT)
-    found = BaseSensors(log, config, ROOT).contacts(at, identity).world_to_base
+    found = BaseSensors(log, config, ROOT).world_to_base(at)
     expected = np.stack([0 * at, np.sin(1.5 * np.pi * at), np.cos(1.5 * np.pi * at)])
     np.testing.assert_allclose(found[:, 2], expected, atol=1e-4)
 
@@ -145,6 +146,21 @@ def test_lever_arm_and_delay_of_the_imu_are_undone() -> None:
     np.testing.assert_allclose(a[5], 10 * np.cos(5 * inner), atol=1e-3)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_wrench_is_that_on_the_link(sign: int) -> None:
+    """Measured on the link, or on what it touches."""
+    t = np.arange(0, 2.0, DT)
+    names = [f"force_plate_{part}" for part in ("x", "y", "z", "mx", "my", "mz")]
+    plate = {name: Channel(t, (k + 1) * np.sin(t)) for k, name in enumerate(names)}
+    contact = {"name": "tool", "link": "calf", "kind": "surface", "force": names[:3], "moment": names[3:], "sign": sign}
+    config = config_of(base={"kind": "fixed"}, contacts=[contact])
+    assert needed_channels(config) == tuple(names)
+    log = with_sensors(log_of(plate), needed_channels(config))
+    at = np.arange(0.2, 1.8, DT)
+    samples = ContactChannels(config.contacts, log.channels, None).samples(at, identity)
+    np.testing.assert_allclose(samples.wrenches[0], sign * np.outer(np.arange(1, 7), np.sin(at)), atol=1e-6)
+
+
 def test_flag_is_widened_at_both_ends() -> None:
     """Set from 0.5 s to 1.0 s, and logged at a rate of 20 Hz."""
     t = np.arange(0, 2.0, 0.05)
@@ -154,7 +170,7 @@ def test_flag_is_widened_at_both_ends() -> None:
     config = config_of(contacts=[contact, {"name": "rope", "link": "trunk", "kind": "surface"}])
     log = with_sensors(log_of({"contact_foot": flag, **still}), needed_channels(config))
     at = np.arange(0.2, 1.8, DT)
-    is_closed = BaseSensors(log, config, ROOT).contacts(at, identity).is_closed
+    is_closed = ContactChannels(config.contacts, log.channels, None).samples(at, identity).is_closed
     first, last = at[is_closed[0]][[0, -1]]
     assert (first, last) == pytest.approx((0.4, 1.1), abs=2e-3)
     assert is_closed[1].all()  # without a flag, always

@@ -198,7 +198,7 @@ def test_delay_of_a_controller_must_be_given(folder: Path, tmp_path: Path) -> No
     (tmp_path / "log.csv").write_text("\n".join([header.replace("tau_", "qcmd_"), *rows]))
     gains = dict.fromkeys(JOINTS, 40.0)
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown", controller={"kp": gains}))
-    with pytest.raises(ConfigError, match="is not fitted for a floating base; give it in s"):
+    with pytest.raises(ConfigError, match="is not fitted for a floating base or with contacts; give it in s"):
         idtool.fit(model, tmp_path / "log.csv", quick=True)
 
 

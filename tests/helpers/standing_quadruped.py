@@ -13,7 +13,7 @@ from ground.robot import Array, Robot, urdf_text
 from numpy.random import Generator
 
 from idtool.common.safe_yaml import parse_yaml
-from idtool.data.base_sensors import ContactSamples
+from idtool.data.contact_channels import ContactSamples
 from idtool.data.signals import Motion
 from idtool.robot.config import Config, parse_config
 from idtool.robot.model import RobotModel, build_model

@@ -58,7 +58,7 @@ def test_torque_is_that_of_pinocchio(tmp_path: Path, rng: np.random.Generator) -
         ({"base": {"kind": "flying"}}, "base.kind"),
         ({"base": {"kind": "floating", "link": "torso"}}, "base.link: torso"),
         ({"base": {"kind": "floating", "imu": {"link": "FL_foot"}}}, "moves against the root link trunk"),
-        ({"base": {"kind": "fixed"}}, "are for a robot whose base moves"),
+        ({"base": {"kind": "fixed"}}, "trunk: is moved by no joint"),
         ({"contacts": [{"name": "a", "link": "paw"}]}, "is not a link of the URDF"),
         ({"contacts": [{"name": "a", "link": "FL_foot"}] * 2}, "a is listed twice"),
         ({"contacts": [{"name": "a", "link": "FL_foot", "moment": ["x", "y", "z"]}]}, "has a moment and no force"),

@@ -69,7 +69,7 @@ def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Notice
         if wrong_time:  # with it, all derivatives are wrong
             return tuple(wrong_time)
         faults += [(k, fault) for fault in own]
-    if not experiment.model.has_only_joints:  # the torque of its joints says nothing without the contact forces
+    if not experiment.has_only_joints:  # the torque of its joints says nothing without the contact forces
         return _merged(faults, [log.path.name for log in logs])
     faults += [(None, fault) for fault in _model_faults(experiment, ChannelFit(experiment), inspections, progress)]
     return _merged(faults, [log.path.name for log in logs])

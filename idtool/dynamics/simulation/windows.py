@@ -28,7 +28,7 @@ def usable_range(signals: Signals, window: slice) -> slice:
     return next(part for part in signals.ranges if part.start <= window.start < part.stop)
 
 
-def stretches_in_the_air(signals: Signals, parts: Sequence[slice], contacts: ContactModel) -> list[slice]:
+def stretches_without_contact(signals: Signals, parts: Sequence[slice], contacts: ContactModel) -> list[slice]:
     """Stretches of parts of a log in which no contact force acts on a link that the joints move."""
     stretches = []
     for part in parts:
@@ -60,7 +60,7 @@ def split_into_windows(
         The log.
     parts
         Samples of it, no gap within one. One that reaches to the first or last sample that has all derivatives is
-        extended to the gap before or after, unless the motion of a base is needed there.
+        extended to the gap before or after, unless the motion of a base, or contacts, are needed there.
     seconds
         Duration of a window [s]; None: one window per part.
     share_ends
@@ -69,7 +69,7 @@ def split_into_windows(
     windows = []
     for part in parts:
         start, stop = part.start, part.stop
-        if signals.base_sensors is None:
+        if signals.contact_channels is None:  # else the base floats, or there are contacts
             gapless = gapless_range(signals, part)
             usable = usable_range(signals, part)
             start = gapless.start if part.start == usable.start else part.start

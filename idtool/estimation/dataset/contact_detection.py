@@ -19,6 +19,7 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import BaseSensors
+from idtool.data.contact_channels import ContactChannels
 from idtool.data.logs.log import Channel, JointLog
 from idtool.data.signals import Batch, Signals
 from idtool.data.wrench_channels import WrenchChannels
@@ -138,7 +139,9 @@ def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[
     always_unknown = tuple(foot.with_unknown_wrench().model_copy(update={"flag": None}) for foot in feet)
     settings = config.model_copy(update={"contacts": always_unknown})
     base_sensors = BaseSensors.of_log(log, model, settings)
-    signals = Signals(log, model.joint_names, settings, base_sensors, WrenchChannels.of_log(log, model, settings))
+    wrench_channels = WrenchChannels.of_log(log, model, settings)
+    contact_channels = ContactChannels.of_log(log, settings, base_sensors)
+    signals = Signals(log, model.joint_names, settings, base_sensors, wrench_channels, contact_channels)
     contact_model = ContactModel(model, always_unknown, noise=np.ones(len(model.joints)))
     times = []
     forces = []

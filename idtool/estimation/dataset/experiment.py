@@ -14,6 +14,7 @@ from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.data.base_sensors import BaseSensors, needed_channels, sensor_options, sensor_step
+from idtool.data.contact_channels import ContactChannels
 from idtool.data.controller import with_unknown_torque, without_constant_torque
 from idtool.data.inspection.imu_findings import dead_imu_sensors, imu_findings
 from idtool.data.logs import JointLog, read_log
@@ -107,6 +108,9 @@ class Experiment:
         if self.model.has_floating_base:
             message = "a robot with a floating base is simulated only while no leg touches the ground"
             notices.append(Notice("floating_base_not_simulated", "note", None, message))
+        elif self.equation.contacts is not None:
+            message = "a robot with contacts is simulated only while no contact force acts on it"
+            notices.append(Notice("contacts_not_simulated", "note", None, message))
         for run in self.runs:
             for notice in (*run.signals.log.notices, *run.signals.notices):
                 notices.append(notice.about(run.signals.log.path.name) if len(self.runs) > 1 else notice)
@@ -170,6 +174,11 @@ class Experiment:
     def band_hz(self) -> float:
         """The low-pass's cut-off, the lowest of the runs' [Hz]."""
         return min(run.signals.band_hz for run in self.runs)
+
+    @property
+    def has_only_joints(self) -> bool:
+        """True for a robot without a floating base, wrench sensors and contacts."""
+        return self.equation.contacts is None and self.model.joint_count == len(self.model.joints)
 
     def batches(self, run: Run, held_out: bool) -> Iterator[Batch]:
         """Batches of a log's part for validation, or for fitting."""
@@ -239,13 +248,19 @@ class Experiment:
         unknown = {name for run in self.runs for name in run.signals.log.unknown_torque}
         rows = zip(self.equation.joints, data, strict=True)
         still = [name for name, factor in rows if not factor.rows and name not in unknown]
-        if self.equation.contacts is not None and len(still) < len(data):
+        has_unknown_forces = any(not contact.is_measured for contact in self.config.contacts)
+        may_lack_rows = has_unknown_forces or self.model.has_floating_base
+        if may_lack_rows and len(still) < len(data):
             return data  # contact forces may leave nothing of a row
         if len(still) == len(data) and not self.samples(held_out=False):
             lengths = [(part.stop - part.start) * run.signals.log.dt for run in self.runs for part in run.train]
             longest = max(lengths, default=0.0)
             what = f"no part without gaps is long enough for the filter; the longest lasts {longest:.3g} s"
             raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect shows where samples are missing")
+        if has_unknown_forces:
+            what = "whenever the joints move, unknown contact forces can explain all torques"
+            advice = "measure these forces, give the contact a flag, or log a motion without contact"
+            raise LogError(self.runs[0].signals.log.path, f"{what}; {advice}")
         if still:
             what = "hardly moves in the part of the logs that is used for the fit"
             if effects := dict.fromkeys(entry.effect for entry in self.config.effects):
@@ -325,8 +340,8 @@ def prepare(
     for log in every:
         _check_signals(log, model.joint_names)
         _check_sensors(log, config)
+    _check_detected_contacts(model, config)
     if model.has_floating_base:
-        _check_detected_contacts(model, config)
         fitted = [with_detected_contacts(log, model, config) for log in fitted]
         validated = [with_detected_contacts(log, model, config) for log in validated]
         every = (*fitted, *validated)
@@ -350,12 +365,13 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
     Raises
     ------
     LogError
-        If it lacks a signal of a joint or of a sensor of the base.
+        If it lacks a signal of a joint or of a sensor.
     """
-    sensors = BaseSensors.of_log(log, model, config)
+    base_sensors = BaseSensors.of_log(log, model, config)
     wrench_channels = WrenchChannels.of_log(log, model, config)
-    signals = Signals(log, model.joint_names, config, sensors, wrench_channels)
-    if sensors is not None:
+    contact_channels = ContactChannels.of_log(log, config, base_sensors)
+    signals = Signals(log, model.joint_names, config, base_sensors, wrench_channels, contact_channels)
+    if base_sensors is not None:
         signals.notices += imu_findings(log)
     signals.notices += sign_notices(signals, model, config)
     return signals
@@ -364,14 +380,16 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
 def _check_detected_contacts(model: RobotModel, config: Config) -> None:
     """Refuse to detect a contact by the torque of a leg that does not tell the force."""
     for i, contact in enumerate(config.contacts):
-        if contact.has_automatic_flag and not is_foot(contact, model):
-            what = "is for points on links that at least three joints move; name the channel of a flag, or leave it out"
-            raise ConfigError(f"contacts.{i}.flag: auto", what)
+        if not contact.has_automatic_flag or (model.has_floating_base and is_foot(contact, model)):
+            continue
+        where = "points on links that at least three joints move" if model.has_floating_base else "a floating base"
+        what = f"is for {where}; name the channel of a flag, or leave it out"
+        raise ConfigError(f"contacts.{i}.flag: auto", what)
 
 
 def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> ContactModel | None:
-    """The contacts of a robot with a floating base; noise of rows that is not configured is guessed from its torque."""
-    if not model.has_floating_base:
+    """The contacts of a robot; noise of rows that is not configured is guessed from its torque."""
+    if not (model.has_floating_base or config.contacts):
         return None
     squares = [np.mean(np.square(_torques(log, model.joint_names)), axis=0) for log in logs]
     noise = initial_row_noise(model, np.sqrt(np.mean(squares, axis=0)))

@@ -16,6 +16,7 @@ from scipy.ndimage import binary_erosion
 from idtool.common.arrays import Array, Mask
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import BaseSensors
+from idtool.data.contact_channels import ContactChannels
 from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import JointLog
 from idtool.data.signals import Motion
@@ -149,7 +150,7 @@ def _feet_jacobian(
 
     The generalized force per unit of a contact force is also the velocity of the contact per unit of each coordinate's.
     """
-    contacts = sensors.contacts(log.t[samples], lambda signal: signal)
+    contacts = ContactChannels(feet, log.channels, sensors).samples(log.t[samples], lambda signal: signal)
     edge = max(round(_CONTACT_EDGE / log.dt), 1)
     is_settled = [binary_erosion(is_closed, iterations=edge) for is_closed in contacts.is_closed]
     zero = np.zeros_like(q)

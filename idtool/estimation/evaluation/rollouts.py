@@ -21,7 +21,7 @@ from idtool.common.notice import Notice
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.simulation import simulate
-from idtool.dynamics.simulation.windows import measured_states, split_into_windows, stretches_in_the_air
+from idtool.dynamics.simulation.windows import measured_states, split_into_windows, stretches_without_contact
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.evaluation.envelope import Envelope, Trace
 
@@ -128,9 +128,9 @@ def evaluate_rollouts(
 ) -> RolloutEvaluation | None:
     """Simulate the training or the held-out parts with one or more models.
 
-    Where some logs hold torque and others only a command, it is done for the latter. With a floating base, whose motion
-    is given, it is done while no contact force acts on the legs. None if nothing can be simulated: the torque of a
-    joint is not known, or the robot is never in the air.
+    Where some logs hold torque and others only a command, it is done for the latter. With contacts, it is done while no
+    force acts at those on links that the joints move; the motion of a floating base is given. None if nothing can be
+    simulated: the torque of a joint is not known, or such a force acts all the time.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def evaluate_rollouts(
     for run in experiment.runs:
         own_parts: Sequence[slice] = run.parts(held_out)
         if contacts is not None:
-            own_parts = stretches_in_the_air(run.signals, own_parts, contacts)
+            own_parts = stretches_without_contact(run.signals, own_parts, contacts)
         parts.append((run.signals, own_parts))
     closed = any(signals.controller.joints.any() for signals, ranges in parts if ranges)
     window = None if closed else experiment.config.simulation.window

@@ -271,7 +271,7 @@ def _bias_notices(bias: BiasCheck | None, is_instrumental: bool) -> list[Notice]
 
 def _bias_unchecked(experiment: Experiment) -> Notice:
     """Notice that least squares was not checked for bias, and why."""
-    if not experiment.model.has_only_joints:
+    if not experiment.has_only_joints:
         what = "least squares was not checked for bias: this needs a fixed base and no wrench sensors"
         return Notice("bias_unchecked", "note", None, what)
     what = "least squares was not checked for bias: the logs are too long, or no instruments are available"

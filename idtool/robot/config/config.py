@@ -91,11 +91,12 @@ class Config(ConfigRecord):
             raise ConfigError("base.kind: floating", f"{what}; {supported}")
 
     def require_only_joints(self, command: str) -> None:
-        """Raise ConfigError if the base floats or a wrench is measured, which the command cannot handle."""
+        """Raise ConfigError for a floating base, contacts or wrench sensors, which the command cannot handle."""
         self.require_fixed_base(command)
-        if self.wrench_sensors:
-            what = "are for fit, validate, inspect, diagnose, excite and export; remove them"
-            raise ConfigError("wrench_sensors", f"{what} for idtool {command}")
+        for key in ("contacts", "wrench_sensors"):
+            if getattr(self, key):
+                what = "are for fit, validate, inspect, diagnose, excite and export; remove them"
+                raise ConfigError(key, f"{what} for idtool {command}")
 
     def without_friction_values(self) -> Config:
         """A copy with the friction terms, but without their values and without effects."""

@@ -1,4 +1,4 @@
-"""A base that moves freely: its IMU, and the contacts that carry it."""
+"""A base that moves freely, its IMU, and contacts."""
 
 from __future__ import annotations
 
@@ -52,13 +52,15 @@ class Base(ConfigRecord):
 
 
 class Contact(ConfigRecord):
-    """A place where the ground, or whatever holds the robot, acts on a link.
+    """A place where the ground, or whatever else the robot touches, acts on a link.
 
     A ``point`` takes a force, a ``surface`` a force and a moment. ``point`` is in the link's frame [m]; with a
     ``radius`` [m] it is the centre of a ball, whose lowest point is the contact. ``flag`` names the log's channel that
     tells when it is closed; without one, it always is, and with ``auto`` the torque of the leg tells. A flag is widened
     by ``widen`` [s] at both ends. ``force`` and ``moment`` name the channels of a measured wrench on the link, along
-    the axes of ``frame``; without them, the wrench is unknown.
+    the axes of ``frame``, or with the ``sign`` −1 that of the link on what it touches; without them, the wrench is
+    unknown. With a fixed base, the world has the axes of the root link, and gravity tells which point of a ball is the
+    lowest.
     """
 
     name: Name
@@ -71,6 +73,7 @@ class Contact(ConfigRecord):
     frame: Literal["world", "link"] = "world"
     force: tuple[Name, Name, Name] | None = None
     moment: tuple[Name, Name, Name] | None = None
+    sign: Literal[1, -1] = 1
 
     @model_validator(mode="after")
     def _consistent(self) -> Contact:

@@ -1,0 +1,101 @@
+"""`ContactChannels`: when contacts are closed, and their measured wrenches, from the channels of a log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from idtool.common.arrays import Array, Mask
+from idtool.data.base_sensors import BaseSensors
+from idtool.data.logs.log import Channel, JointLog
+from idtool.robot.config import Config, Contact
+
+
+@dataclass(frozen=True)
+class ContactSamples:
+    """The contacts of a robot at N samples.
+
+    Attributes
+    ----------
+    world_to_base
+        Rotation of the world's axes into the base's frame, shape (3, 3, N): those of a floating base's world have z
+        upward, those of a fixed one are its own.
+    is_closed
+        True where a contact may act: its flag, widened, is set, or it has none; shape (contacts, N).
+    wrenches
+        Measured force and moment on the link by what it touches, along the axes of the contact's ``frame``, shape
+        (contacts, 6, N) [N, N·m]; 0 if they were not measured.
+    """
+
+    world_to_base: Array
+    is_closed: Mask
+    wrenches: Array
+
+    def every(self, stride: int) -> ContactSamples:
+        """One of every ``stride`` samples."""
+        return ContactSamples(
+            self.world_to_base[..., ::stride], self.is_closed[:, ::stride], self.wrenches[..., ::stride]
+        )
+
+
+@dataclass(frozen=True)
+class ContactChannels:
+    """The contacts of a robot in a log.
+
+    Attributes
+    ----------
+    contacts
+        The contacts.
+    channels
+        The log's channels, with those of the contacts.
+    base_sensors
+        Sensors of a floating base, which tell its orientation; None: the base is fixed.
+    """
+
+    contacts: tuple[Contact, ...]
+    channels: Mapping[str, Channel]
+    base_sensors: BaseSensors | None
+
+    @classmethod
+    def of_log(cls, log: JointLog, config: Config, base_sensors: BaseSensors | None) -> ContactChannels | None:
+        """The contacts of a robot in a log; None for a fixed base without contacts."""
+        if base_sensors is None and not config.contacts:
+            return None
+        return cls(config.contacts, log.channels, base_sensors)
+
+    def samples(self, t: Array, smooth: Callable[[Array], Array]) -> ContactSamples:
+        """The contacts at the samples.
+
+        Parameters
+        ----------
+        t
+            Times [s] of the samples and of those about them that ``smooth`` takes.
+        smooth
+            Zero-phase low-pass of the signals; it drops as many samples at both ends.
+        """
+        filtered_count = smooth(t[None]).shape[1]
+        margin = (len(t) - filtered_count) // 2
+        inner = t[margin : len(t) - margin]
+        is_closed = np.ones((len(self.contacts), len(inner)), dtype=bool)
+        wrenches = np.zeros((len(self.contacts), 6, len(inner)))
+        for k, contact in enumerate(self.contacts):
+            if contact.flag_channel is not None:
+                is_closed[k] = self.channels[contact.flag_channel].is_set(inner, contact.widen)
+            if contact.force is not None:
+                wrenches[k, :3] = contact.sign * smooth(self._values(contact.force, t))
+            if contact.moment is not None:
+                wrenches[k, 3:] = contact.sign * smooth(self._values(contact.moment, t))
+        return ContactSamples(self._world_to_base(inner), is_closed, wrenches)
+
+    def _values(self, names: Sequence[str], t: Array) -> Array:
+        """Values of channels at times, shape (channels, N)."""
+        return np.stack([self.channels[name].at(t) for name in names])
+
+    def _world_to_base(self, t: Array) -> Array:
+        """As in `ContactSamples`; the identity if no contact needs it."""
+        needs_orientation = any(contact.needs_orientation for contact in self.contacts)
+        if self.base_sensors is None or not needs_orientation:
+            return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(t)))
+        return self.base_sensors.world_to_base(t)
