@@ -65,6 +65,22 @@ def link_geometry(robot: Robot, link: str) -> LinkGeometry:
     return LinkGeometry(np.empty((0, 3)), (), notes)
 
 
+def link_sphere(robot: Robot, link: str) -> tuple[Array, float] | None:
+    """Centre, shape (3,), in the link's frame and radius [m] of a sphere that is a link's only geometry of a kind.
+
+    Collision geometry comes first; None if neither that nor the visual one is a single sphere.
+    """
+    element = _link_element(robot, link)
+    for tag in ("collision", "visual"):
+        elements = element.findall(tag)
+        parts = [_geometry_element(own) for own in elements]
+        if len(parts) != 1 or parts[0] is None or parts[0].tag != "sphere":
+            continue
+        with suppress(UnreadableGeometryError):
+            return _origin(elements[0])[1], float(abs(numeric_attribute(parts[0], "radius", 1)[0]))
+    return None
+
+
 def link_surface(robot: Robot, link: str) -> Mesh:
     """Triangles of a link's visual geometry or, where none of that can be read, of its collision geometry.
 

@@ -16,6 +16,7 @@ from idtool.robot.config import parse_config
 from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
 from idtool.setup import model_sections, sections
+from idtool.setup.base_sections import base_sections
 from idtool.setup.bounds import find_bounds, search_paths
 from idtool.setup.draft import Draft
 from idtool.setup.log_summary import summarize_logs
@@ -28,6 +29,9 @@ _SECTIONS: Mapping[str, Callable[[Draft], ConfigSection | None]] = {
     "joints": sections.joints,
     "locked_joints": sections.locked_joints,
     "gravity": sections.gravity,
+    "base": lambda draft: draft.base.sections.get("base"),
+    "contacts": lambda draft: draft.base.sections.get("contacts"),
+    "wrench_sensors": lambda draft: draft.base.sections.get("wrench_sensors"),
     "log": sections.log,
     "velocity": sections.velocity,
     "filter": sections.low_pass,
@@ -38,7 +42,8 @@ _SECTIONS: Mapping[str, Callable[[Draft], ConfigSection | None]] = {
     "controller": model_sections.controller,
     "known": model_sections.known,
 }
-_SECTIONS_FOR_TRIALS = ("joints", "locked_joints", "log", "filter", "bounding_ellipsoids", "controller")
+_BASE = ("base", "contacts", "wrench_sensors")
+_SECTIONS_FOR_TRIALS = ("joints", "locked_joints", *_BASE, "log", "filter", "bounding_ellipsoids", "controller")
 _MERGED = ("locked_joints", "controller")  # their sections include the given values
 _BY_TRIAL = ("friction", "effects")  # no trials if they are given
 
@@ -87,11 +92,12 @@ def _make_draft(
 ) -> Draft:
     """Collect everything that the sections are written from."""
     config = parse_config(given, str(source))
-    config.require_only_joints("init")
     summary = summarize_logs(robot, logs, config, progress)
     progress("reading geometry", 0.0)
     locked = {name: lock.position for name, lock in summary.locked.items()} | config.locked_joints
-    model_settings = config.model_copy(update={"joints": summary.joints, "locked_joints": locked})
+    base = base_sections(robot, summary.logs, config, summary.joints, summary.imu_topics)
+    with_base = parse_config({**base.values(), **given}, "idtool init")
+    model_settings = with_base.model_copy(update={"joints": summary.joints, "locked_joints": locked})
     model = build_model(robot, model_settings, summary.joints)
     draft = Draft(
         robot=robot,
@@ -103,6 +109,7 @@ def _make_draft(
         bounds=find_bounds(robot, model),
         ratios=gear_ratios(robot),
         rotors=rotor_links(robot, summary.joints),
+        base=base,
     )
     return _with_trials(draft, model, progress)
 
@@ -171,6 +178,7 @@ def _findings(draft: Draft) -> list[str]:
         lines.append(f"joints assumed to stand still: {join_names(draft.locked)}")
     if summary.topic is not None:
         lines.append(f"topic {summary.topic}, out of {join_names(summary.topics)}")
+    lines += _found_base(draft)
     if "filter" not in draft.given:
         lines.append(f"motion below {summary.motion_hz:.2g} Hz, so filter.cutoff_hz is {summary.cutoff_hz:g}")
     if draft.bounds.ellipsoids:
@@ -178,6 +186,18 @@ def _findings(draft: Draft) -> list[str]:
     if geared := [name for name, ratio in draft.ratios.items() if abs(ratio) != 1]:
         lines.append(f"gear ratios of {join_names(geared)}")
     return lines if results is None else [*lines, *_kept_effects(results)]
+
+
+def _found_base(draft: Draft) -> Iterator[str]:
+    """Findings on the base, one line each."""
+    found = draft.base.values()
+    if "base" in found:
+        base = found["base"]
+        yield f"floating base {base['link']}, IMU {base['imu']['link']}" if "imu" in base else "fixed base with an IMU"
+    if "contacts" in found:
+        yield f"contacts: {join_names([contact['name'] for contact in found['contacts']])}"
+    if "wrench_sensors" in found:
+        yield f"wrench sensors: {join_names([sensor['joint'] for sensor in found['wrench_sensors']])}"
 
 
 def _kept_effects(results: TrialResults) -> Iterator[str]:
@@ -210,6 +230,7 @@ def _todo_items(draft: Draft) -> list[TodoItem]:
         )
     elif draft.no_trials_reason:
         items.append(TodoItem("friction, effects", f"nothing was tried, because {draft.no_trials_reason}"))
+    items += draft.base.todo
     if without_torque := draft.log_summary.without_torque:
         named = join_names([f"tau_{name} (not in {log})" for name, log in without_torque.items()])
         items.append(TodoItem("log.columns", f"give the column of the torque, or log the command instead: {named}"))

@@ -18,7 +18,7 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot, UrdfJoint
-from idtool.setup.loaded_logs import LoadedLog, find_topic, load_logs
+from idtool.setup.loaded_logs import LoadedLog, find_imu_topics, find_topic, load_logs
 from idtool.setup.log_notices import log_notices
 
 _MIN_CUTOFF = 5.0  # Hz; below it, friction at reversals cannot be told from other effects
@@ -56,6 +56,8 @@ class LogSummary:
         Joints of ``joints`` with a position command but no torque in some log.
     topic, topics
         The topic that is read, if there are several, and all topics.
+    imu_topics
+        The topics to choose the IMU from, the one that is read first; empty if there is one at most.
     rates_hz
         Sampling rate of each log.
     motion_hz
@@ -77,6 +79,7 @@ class LogSummary:
     commanded: tuple[str, ...]
     topic: str | None
     topics: tuple[str, ...]
+    imu_topics: tuple[str, ...]
     rates_hz: tuple[float, ...]
     motion_hz: float
     bands: float
@@ -102,7 +105,8 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
         If a log cannot be read, or no joint of the robot moves and has a torque or a command.
     """
     topic, topics = find_topic(robot, paths, given)
-    logs = load_logs(robot, paths, given, topic, progress)
+    imu_topics = find_imu_topics(robot, paths, given, topic)
+    logs = load_logs(robot, paths, given, topic, imu_topics[0] if imu_topics else None, progress)
     reasons = _unidentifiable_reasons(robot, given, logs)
     identifiable = tuple(name for name, reason in reasons.items() if reason is None)
     joints = identifiable if given.joints is None else given.joints
@@ -128,6 +132,7 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
         commanded=commanded,
         topic=topic if topics else None,
         topics=topics,
+        imu_topics=imu_topics,
         rates_hz=tuple(log.inspection.rate_hz for log in logs),
         motion_hz=motion,
         bands=bands,

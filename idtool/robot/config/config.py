@@ -87,14 +87,14 @@ class Config(ConfigRecord):
         """Raise ConfigError if the base floats, which the command cannot handle."""
         if self.base.kind != "fixed":
             what = f"idtool {command} needs a fixed base"
-            supported = "a floating one is for fit, validate, inspect, diagnose and export --to mujoco"
+            supported = "a floating one is for init, fit, validate, inspect, diagnose and export --to mujoco"
             raise ConfigError("base.kind: floating", f"{what}; {supported}")
 
     def require_only_joints(self, command: str) -> None:
         """Raise ConfigError if the base floats or a wrench is measured, which the command cannot handle."""
         self.require_fixed_base(command)
         if self.wrench_sensors:
-            what = "are for fit, validate, inspect, diagnose and export; remove them"
+            what = "are for init, fit, validate, inspect, diagnose and export; remove them"
             raise ConfigError("wrench_sensors", f"{what} for idtool {command}")
 
     def without_friction_values(self) -> Config:

@@ -1,0 +1,301 @@
+"""The sections of a first configuration on a floating base: base, contacts, wrench sensors.
+
+They follow from the channels of the logs, and from the names and the geometry of the URDF's links.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from idtool.common.names import join_names
+from idtool.data.logs import JointLog
+from idtool.robot.config import Config
+from idtool.robot.model import RobotModel, build_model
+from idtool.robot.urdf.reading import Robot, UrdfJoint
+from idtool.setup.feet import count_joints, find_feet, touch_of
+from idtool.setup.logged_sensors import LoggedSensors
+from idtool.setup.name_matching import SENSOR_WORDS, match, words
+from idtool.setup.records import ConfigSection, TodoItem
+
+_WORLD = ({"world"}, {"map"}, {"odom"}, {"ground"})  # words of a root link that stands still
+_HOLDERS = {"rope", "crane", "hoist", "gantry", "harness", "tether", "cable", "string", "stand", "hook", "support"}
+_BODIES = {"base", "body", "trunk", "torso", "pelvis"}
+_FEWEST_JOINTS = 3  # that move a foot, by whose torque a contact can be detected
+_WRENCH_SIZE = 6
+
+
+@dataclass(frozen=True)
+class BaseSections:
+    """The sections ``base``, ``contacts`` and ``wrench_sensors``, as far as there is something to say.
+
+    Attributes
+    ----------
+    sections
+        The sections by key.
+    todo
+        Values that the user has to check.
+    """
+
+    sections: dict[str, ConfigSection] = field(default_factory=dict)
+    todo: tuple[TodoItem, ...] = ()
+
+    def values(self) -> dict[str, Any]:
+        """Plain data of the sections that have any."""
+        return {key: section.value for key, section in self.sections.items() if section.value is not None}
+
+
+def base_sections(
+    robot: Robot, logs: Sequence[JointLog], config: Config, joints: Sequence[str], imu_topics: Sequence[str]
+) -> BaseSections:
+    """Propose the base, its contacts and the wrench sensors.
+
+    Parameters
+    ----------
+    robot, logs
+        The robot and its logs.
+    config
+        The given configuration; what it contains is not proposed.
+    joints
+        The joints that are identified.
+    imu_topics
+        The topics to choose the IMU from, the chosen one first; empty if there is one IMU at most.
+    """
+    proposer = _Proposer(robot, LoggedSensors.of_logs(logs), config, tuple(joints), tuple(imu_topics))
+    proposer.propose()
+    return BaseSections(proposer.sections, tuple(proposer.todo))
+
+
+@dataclass
+class _Proposer:
+    robot: Robot
+    logged: LoggedSensors
+    config: Config
+    joints: tuple[str, ...]
+    imu_topics: tuple[str, ...]
+    sections: dict[str, ConfigSection] = field(default_factory=dict)
+    todo: list[TodoItem] = field(default_factory=list)
+
+    def propose(self) -> None:
+        floating = self.config.base.model_copy(update={"kind": "floating"})
+        settings = self.config.model_copy(update={"base": floating, "joints": self.joints})
+        self.model: RobotModel = build_model(self.robot, settings, self.joints)
+        self.feet = find_feet(self.robot, self.model)
+        sensors = self._wrench_sensors()
+        contacts, unmatched = self._logged_contacts(set(sensors))
+        if sensors:
+            self.sections["wrench_sensors"] = self._wrench_section(sensors)
+        feet = {self.model.frames[foot].body for foot in self.feet}
+        touching = {self.model.frames[link].body for link in contacts.values()}
+        if self._base(has_contacts=any(body in feet or self.model.bodies[body].is_base for body in touching)):
+            self._contacts(contacts, unmatched)
+
+    def _base(self, has_contacts: bool) -> bool:
+        """Propose the base; True if it floats."""
+        if "base" in self.config.model_fields_set:
+            return self.config.base.kind == "floating"
+        logged = self.logged
+        if not logged.has_imu:
+            if has_contacts:
+                why = "The base is assumed to stand still, because not every log has an IMU."
+                remark = "A base that moves needs one: the columns imu_wx to imu_az, or a topic of sensor_msgs/Imu."
+                self.sections["base"] = ConfigSection("base", (why, remark), {"kind": "fixed"})
+                self.todo.append(TodoItem("base", "the logs have contacts and no IMU: log one if the base moves"))
+            return False
+        reason = None
+        if words(self.robot.root) in _WORLD:
+            reason = f"the URDF's root is {self.robot.root}"
+        elif not logged.base_moves and not has_contacts:
+            reason = "the IMU stands still, and no contact was logged"
+        if reason is not None:
+            comment = f"The base is fixed, although the logs have an IMU: {reason} (logs and URDF)."
+            self.sections["base"] = ConfigSection("base", (comment,), {"kind": "fixed"})
+            return False
+        self.sections["base"] = self._floating_base()
+        return True
+
+    def _floating_base(self) -> ConfigSection:
+        """The section ``base`` of a robot whose IMU was logged."""
+        comments = ["The base floats, because the logs have an IMU (logs). link: the URDF's root."]
+        named = [link for link in self.robot.links if "imu" in words(link) and self._is_on_base(link)]
+        topic = self.imu_topics[0] if self.imu_topics else None
+        link = self.robot.root
+        if named:
+            link = (topic and match(topic, named)) or min(named, key=len)
+            comments.append("imu.link: the link on the base with imu in its name (URDF).")
+            if len(named) > 1:
+                comments[-1] = f"imu.link: one of {join_names(named)} (URDF); check which one was logged."
+        else:
+            comments.append(f"imu.link: no link that is fixed to {link} has imu in its name; name the link of the IMU.")
+            what = f"the link of the IMU; {link} is only right if the IMU is at its origin and along its axes"
+            self.todo.append(TodoItem("base.imu.link", what))
+        imu: dict[str, Any] = {"link": link}
+        if topic is not None:
+            comments.append(f"imu.topic: one of {join_names(self.imu_topics)} (logs).")
+            imu["topic"] = topic
+        comments.append("imu.delay: how late the IMU is, s; auto (default): determined while the robot stands.")
+        value = {"kind": "floating", "link": self.robot.root, "imu": {**imu, "delay": "auto"}}
+        return ConfigSection("base", tuple(comments), value)
+
+    def _is_on_base(self, link: str) -> bool:
+        return self.model.bodies[self.model.frames[link].body].is_base
+
+    def _logged_contacts(self, sensors: set[str]) -> tuple[dict[str, str], list[str]]:
+        """Link of each contact that was logged, by its name; and the names that match no link."""
+        links = [*self.feet, *(link for link in self.robot.links if link not in self.feet)]
+        of_sensors = {channel for sensor in self.config.wrench_sensors for channel in sensor.logged_channels}
+        contacts: dict[str, str] = {}
+        unmatched = []
+        for name in dict.fromkeys((*self.logged.flags, *self.logged.wrenches)):
+            is_of_sensor = name in sensors or f"force_{name}_x" in of_sensors
+            if is_of_sensor and name not in self.logged.flags:
+                continue
+            link = match(name, links)
+            if link is None and name in self.logged.flags and words(name) & (_HOLDERS | _BODIES):
+                link = self.robot.root
+            if link is None:
+                unmatched.append(name)
+            else:
+                contacts[name] = link
+        return contacts, unmatched
+
+    def _contacts(self, logged: dict[str, str], unmatched: Sequence[str]) -> None:
+        """Propose the contacts of a floating base."""
+        comments = ["Where the ground, or whatever holds the robot, acts on it (names in logs and URDF)."]
+        entries = [self._logged_contact(name, link) for name, link in logged.items()]
+        touched = {self.model.frames[link].body for link in logged.values()}
+        for foot in self.feet:
+            if self.model.frames[foot].body not in touched:
+                entries.append(self._unlogged_contact(foot))
+        comments += self._contact_comments(entries, logged)
+        if not entries:
+            entries.append({"name": "support", "link": self.robot.root, "kind": "surface"})
+            comments.append(
+                "No contact was logged and no link is named as a foot: support stands for all that carries the base, "
+                "such as wheels."
+            )
+            self.todo.append(TodoItem("contacts", "the links that touch the ground, if these are others than the base"))
+        if unmatched:
+            channels = [self.logged.flags.get(name, f"force_{name}_x") for name in unmatched]
+            comments.append(f"Channels that match no link: {join_names(channels)}.")
+            self.todo.append(TodoItem("contacts", f"the links of {join_names(channels)}"))
+        if "contacts" not in self.config.model_fields_set:
+            self.sections["contacts"] = ConfigSection("contacts", tuple(comments), entries)
+
+    def _logged_contact(self, name: str, link: str) -> dict[str, Any]:
+        """A contact with its flag or, if it has none, with its measured wrench."""
+        entry = {"name": name, "link": link, **self._touch(link)}
+        if name in self.logged.flags:
+            return {**entry, "flag": self.logged.flags[name]}
+        channels = self.logged.wrenches[name]
+        has_moment = len(channels) == _WRENCH_SIZE
+        entry["kind"] = "surface" if has_moment else "point"
+        entry["frame"] = "world" if self.logged.has_orientation else "link"
+        entry["force"] = list(channels[:3])
+        if has_moment:
+            entry["moment"] = list(channels[3:])
+        return entry
+
+    def _unlogged_contact(self, foot: str) -> dict[str, Any]:
+        """A contact that the torque of the leg tells; always closed if it cannot tell the moment."""
+        entry = {"name": foot, "link": foot, **self._touch(foot)}
+        if entry["kind"] == "point" and count_joints(self.model, foot) >= _FEWEST_JOINTS:
+            entry["flag"] = "auto"
+        return entry
+
+    def _touch(self, link: str) -> dict[str, Any]:
+        """Kind of a contact, and radius and centre of the ball if the URDF has one."""
+        touch = touch_of(self.robot, self.model, link)
+        if touch.is_surface:
+            return {"kind": "surface"}
+        if touch.centre is None or not self.logged.has_orientation:  # which tells the lowest point
+            return {"kind": "point"}
+        place = {"point": list(touch.centre)} if any(touch.centre) else {}
+        return {"kind": "point", "radius": touch.radius, **place}
+
+    def _contact_comments(self, entries: Sequence[dict[str, Any]], logged: dict[str, str]) -> list[str]:
+        """What the values mean, and what is not known."""
+        comments = []
+        points = [entry for entry in entries if entry["kind"] == "point"]
+        if any("radius" in entry for entry in points):
+            comments.append("radius and point: of the sphere in the link's geometry, m (URDF).")
+        unknown = [entry["name"] for entry in points if "radius" not in entry]
+        if unknown:
+            comments.append(f"radius of {join_names(unknown)}: unknown, so 0; of a foot that is a ball, give it, m.")
+            self.todo.append(TodoItem("contacts.radius", f"the radius of {join_names(unknown)}, if they are balls"))
+        surfaces = [entry for entry in entries if entry["kind"] == "surface"]
+        if surfaces:
+            comments.append("A surface takes a moment too.")
+        held = [entry["name"] for entry in surfaces if "flag" in entry and entry["link"] == self.robot.root]
+        if held:
+            comments.append(f"{join_names(held)}: taken for what holds {self.robot.root}.")
+        detected = [entry["name"] for entry in entries if entry.get("flag") == "auto"]
+        if detected:
+            comments.append(
+                f"flag: auto: no flag of {join_names(detected)} was logged, so the torque of the leg tells. If something "
+                f"else holds the robot in a log, add {{name: rope, link: {self.robot.root}, kind: surface}}."
+            )
+        closed = [entry["name"] for entry in surfaces if "flag" not in entry and "force" not in entry]
+        if closed:
+            comments.append(f"Always closed without a flag, which costs accuracy: {join_names(closed)}.")
+        forces = [entry["name"] for entry in entries if "force" in entry]
+        if forces:
+            comments.append("frame: axes of the measured force, world or link; the logs do not tell which.")
+            self.todo.append(
+                TodoItem("contacts.frame", f"the axes of the force of {join_names(forces)}: world or link")
+            )
+        both = [name for name in logged if name in self.logged.flags and name in self.logged.wrenches]
+        if both:
+            first = self.logged.wrenches[both[0]]
+            comments.append(
+                f"The measured force of {join_names(both)} is not needed. To use it, replace flag by "
+                f"force: [{', '.join(first[:3])}] and by frame, world or link."
+            )
+        return comments
+
+    def _wrench_sensors(self) -> dict[str, str]:
+        """Fixed joint of each sensor of force and moment between links, by its name in the logs."""
+        if "wrench_sensors" in self.config.model_fields_set:
+            return {}
+        carrying = {joint.parent for joint in self.robot.joints.values()}
+        fixed = [joint for joint in self.robot.joints.values() if joint.kind == "fixed" and self._has_load(joint)]
+        between = [joint.name for joint in fixed if joint.child in carrying]
+        at_ends = [joint.name for joint in fixed if joint.child not in carrying]
+        complete = [name for name, channels in self.logged.wrenches.items() if len(channels) == _WRENCH_SIZE]
+        sensors: dict[str, str] = {}
+        for name in complete:
+            joint = match(name, between)
+            if name in self.robot.links and joint != name:
+                continue
+            if joint is None and match(name, list(self.robot.links)) is None:
+                joint = match(name, at_ends) or self._only_sensor([*between, *at_ends], complete)
+            if joint is not None and joint not in sensors.values():
+                sensors[name] = joint
+        return sensors
+
+    def _has_load(self, joint: UrdfJoint) -> bool:
+        """True if a joint carries mass."""
+        links = [joint.child]
+        for link in links:
+            links += [other.child for other in self.robot.joints.values() if other.parent == link]
+        masses = [pi[0] for link in links if (pi := self.robot.links[link]) is not None]
+        return bool(sum(masses) > 0)
+
+    @staticmethod
+    def _only_sensor(joints: Sequence[str], logged: Sequence[str]) -> str | None:
+        """The only joint named as a sensor, for the only sensor that was logged; None if there are others."""
+        named = [joint for joint in joints if words(joint) & set(SENSOR_WORDS)]
+        return named[0] if len(named) == len(logged) == 1 else None
+
+    def _wrench_section(self, sensors: dict[str, str]) -> ConfigSection:
+        comments = (
+            "Sensors of force and moment at fixed joints (names in logs and URDF). offset: fit: the reading without load "
+            "is fitted.",
+            "sign: 1 if a hanging load reads a force upward, else -1.",
+        )
+        entries = []
+        for name, joint in sensors.items():
+            channel = {} if name == joint else {"channel": name}
+            entries.append({"joint": joint, **channel, "sign": 1, "offset": "fit"})
+        return ConfigSection("wrench_sensors", comments, entries)
