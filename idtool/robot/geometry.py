@@ -66,18 +66,18 @@ def link_geometry(robot: Robot, link: str) -> LinkGeometry:
 
 
 def link_sphere(robot: Robot, link: str) -> tuple[Array, float] | None:
-    """Centre, shape (3,), in the link's frame and radius [m] of a sphere that is a link's only geometry of a kind.
+    """Centre, shape (3,), in the link's frame and radius [m] of the only sphere in a link's geometry.
 
-    Collision geometry comes first; None if neither that nor the visual one is a single sphere.
+    Collision geometry comes first; None if neither that nor the visual one has a single sphere.
     """
     element = _link_element(robot, link)
     for tag in ("collision", "visual"):
-        elements = element.findall(tag)
-        parts = [_geometry_element(own) for own in elements]
-        if len(parts) != 1 or parts[0] is None or parts[0].tag != "sphere":
-            continue
-        with suppress(UnreadableGeometryError):
-            return _origin(elements[0])[1], float(abs(numeric_attribute(parts[0], "radius", 1)[0]))
+        parts = [(own, _geometry_element(own)) for own in element.findall(tag)]
+        spheres = [(own, part) for own, part in parts if part is not None and part.tag == "sphere"]
+        if len(spheres) == 1:
+            own, part = spheres[0]
+            with suppress(UnreadableGeometryError):
+                return _origin(own)[1], float(abs(numeric_attribute(part, "radius", 1)[0]))
     return None
 
 

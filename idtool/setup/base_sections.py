@@ -5,25 +5,25 @@ They follow from the channels of the logs, and from the names and the geometry o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from idtool.common.names import join_names
 from idtool.data.logs import JointLog
 from idtool.robot.config import Config
-from idtool.robot.model import RobotModel, build_model
-from idtool.robot.urdf.reading import Robot, UrdfJoint
-from idtool.setup.feet import count_joints, find_feet, touch_of
+from idtool.robot.model import WRENCH_SIZE, RobotModel, build_model
+from idtool.robot.urdf.reading import Robot
+from idtool.setup.feet import count_joints, find_feet, leg_ends, touch_of
 from idtool.setup.logged_sensors import LoggedSensors
-from idtool.setup.name_matching import SENSOR_WORDS, match, words
+from idtool.setup.name_matching import match, words
 from idtool.setup.records import ConfigSection, TodoItem
+from idtool.setup.wrench_sensors import with_signs, wrench_sensor_joints, wrench_sensors_section
 
 _WORLD = ({"world"}, {"map"}, {"odom"}, {"ground"})  # words of a root link that stands still
 _HOLDERS = {"rope", "crane", "hoist", "gantry", "harness", "tether", "cable", "string", "stand", "hook", "support"}
 _BODIES = {"base", "body", "trunk", "torso", "pelvis"}
 _FEWEST_JOINTS = 3  # that move a foot, by whose torque a contact can be detected
-_WRENCH_SIZE = 6
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,13 @@ class BaseSections:
     todo: tuple[TodoItem, ...] = ()
 
     def values(self) -> dict[str, Any]:
-        """Plain data of the sections that have any."""
-        return {key: section.value for key, section in self.sections.items() if section.value is not None}
+        """Plain data of the sections."""
+        return {key: section.value for key, section in self.sections.items()}
+
+    def with_signs(self, correlations: Mapping[str, float]) -> BaseSections:
+        """A copy with the signs of the wrench sensors by `force_correlations`."""
+        section, todo = with_signs(self.sections["wrench_sensors"], correlations)
+        return BaseSections({**self.sections, "wrench_sensors": section}, (*self.todo, *todo))
 
 
 def base_sections(
@@ -82,10 +87,11 @@ class _Proposer:
         settings = self.config.model_copy(update={"base": floating, "joints": self.joints})
         self.model: RobotModel = build_model(self.robot, settings, self.joints)
         self.feet = find_feet(self.robot, self.model)
-        sensors = self._wrench_sensors()
+        is_given = "wrench_sensors" in self.config.model_fields_set
+        sensors = {} if is_given else wrench_sensor_joints(self.robot, self.logged.wrenches)
         contacts, unmatched = self._logged_contacts(set(sensors))
         if sensors:
-            self.sections["wrench_sensors"] = self._wrench_section(sensors)
+            self.sections["wrench_sensors"] = wrench_sensors_section(sensors)
         feet = {self.model.frames[foot].body for foot in self.feet}
         touching = {self.model.frames[link].body for link in contacts.values()}
         if self._base(has_contacts=any(body in feet or self.model.bodies[body].is_base for body in touching)):
@@ -143,7 +149,6 @@ class _Proposer:
 
     def _logged_contacts(self, sensors: set[str]) -> tuple[dict[str, str], list[str]]:
         """Link of each contact that was logged, by its name; and the names that match no link."""
-        links = [*self.feet, *(link for link in self.robot.links if link not in self.feet)]
         of_sensors = {channel for sensor in self.config.wrench_sensors for channel in sensor.logged_channels}
         contacts: dict[str, str] = {}
         unmatched = []
@@ -151,18 +156,32 @@ class _Proposer:
             is_of_sensor = name in sensors or f"force_{name}_x" in of_sensors
             if is_of_sensor and name not in self.logged.flags:
                 continue
-            link = match(name, links)
+            link = self._link(name)
             if link is None and name in self.logged.flags and words(name) & (_HOLDERS | _BODIES):
                 link = self.robot.root
             if link is None:
                 unmatched.append(name)
             else:
                 contacts[name] = link
-        return contacts, unmatched
+        if self.feet and set(self.feet) <= set(contacts.values()):  # so that what is left is none of them
+            contacts |= {name: self.robot.root for name in unmatched if name in self.logged.flags}
+        return contacts, [name for name in unmatched if name not in contacts]
+
+    def _link(self, name: str) -> str | None:
+        """The link of a contact: one of that name, else a foot, else the end of a leg, else any link that is alike."""
+        links = list(self.robot.links)
+        if name in links:
+            return name
+        ends = leg_ends(self.robot, self.model)
+        found = (match(name, candidates) for candidates in (self.feet, ends, links))
+        return next((link for link in found if link is not None), None)
 
     def _contacts(self, logged: dict[str, str], unmatched: Sequence[str]) -> None:
         """Propose the contacts of a floating base."""
-        comments = ["Where the ground, or whatever holds the robot, acts on it (names in logs and URDF)."]
+        comments = [
+            "Where the ground, or whatever holds the robot, acts on it (names in logs and URDF). A point takes a force, a "
+            "surface also a moment."
+        ]
         entries = [self._logged_contact(name, link) for name, link in logged.items()]
         touched = {self.model.frames[link].body for link in logged.values()}
         for foot in self.feet:
@@ -189,7 +208,7 @@ class _Proposer:
         if name in self.logged.flags:
             return {**entry, "flag": self.logged.flags[name]}
         channels = self.logged.wrenches[name]
-        has_moment = len(channels) == _WRENCH_SIZE
+        has_moment = len(channels) == WRENCH_SIZE
         entry["kind"] = "surface" if has_moment else "point"
         entry["frame"] = "world" if self.logged.has_orientation else "link"
         entry["force"] = list(channels[:3])
@@ -209,9 +228,11 @@ class _Proposer:
         touch = touch_of(self.robot, self.model, link)
         if touch.is_surface:
             return {"kind": "surface"}
-        if touch.centre is None or not self.logged.has_orientation:  # which tells the lowest point
+        if touch.centre is None:
             return {"kind": "point"}
         place = {"point": list(touch.centre)} if any(touch.centre) else {}
+        if not self.logged.has_orientation:  # which tells the lowest point of the ball
+            return {"kind": "point", **place}
         return {"kind": "point", "radius": touch.radius, **place}
 
     def _contact_comments(self, entries: Sequence[dict[str, Any]], logged: dict[str, str]) -> list[str]:
@@ -221,20 +242,24 @@ class _Proposer:
         if any("radius" in entry for entry in points):
             comments.append("radius and point: of the sphere in the link's geometry, m (URDF).")
         unknown = [entry["name"] for entry in points if "radius" not in entry]
-        if unknown:
+        if unknown and not self.logged.has_orientation:
+            comments.append("radius: none, because it needs the orientation of the IMU, imu_qw to imu_qz.")
+        elif unknown:
             comments.append(f"radius of {join_names(unknown)}: unknown, so 0; of a foot that is a ball, give it, m.")
             self.todo.append(TodoItem("contacts.radius", f"the radius of {join_names(unknown)}, if they are balls"))
+        off_foot = [entry["name"] for entry in points if "radius" not in entry and entry["link"] not in self.feet]
+        if off_foot:
+            comments.append(f"point of {join_names(off_foot)}: unknown, so the origin of the link; give the place, m.")
+            self.todo.append(TodoItem("contacts.point", f"where {join_names(off_foot)} is in the frame of its link"))
         surfaces = [entry for entry in entries if entry["kind"] == "surface"]
-        if surfaces:
-            comments.append("A surface takes a moment too.")
         held = [entry["name"] for entry in surfaces if "flag" in entry and entry["link"] == self.robot.root]
         if held:
-            comments.append(f"{join_names(held)}: taken for what holds {self.robot.root}.")
+            comments.append(f"{join_names(held)}: taken for what holds {self.robot.root}; if not, name another link.")
         detected = [entry["name"] for entry in entries if entry.get("flag") == "auto"]
         if detected:
             comments.append(
-                f"flag: auto: no flag of {join_names(detected)} was logged, so the torque of the leg tells. If something "
-                f"else holds the robot in a log, add {{name: rope, link: {self.robot.root}, kind: surface}}."
+                f"flag: auto: no flag of {join_names(detected)} was logged, so the torque of the leg tells. If "
+                f"something else holds the robot in a log, add {{name: rope, link: {self.robot.root}, kind: surface}}."
             )
         closed = [entry["name"] for entry in surfaces if "flag" not in entry and "force" not in entry]
         if closed:
@@ -253,49 +278,3 @@ class _Proposer:
                 f"force: [{', '.join(first[:3])}] and by frame, world or link."
             )
         return comments
-
-    def _wrench_sensors(self) -> dict[str, str]:
-        """Fixed joint of each sensor of force and moment between links, by its name in the logs."""
-        if "wrench_sensors" in self.config.model_fields_set:
-            return {}
-        carrying = {joint.parent for joint in self.robot.joints.values()}
-        fixed = [joint for joint in self.robot.joints.values() if joint.kind == "fixed" and self._has_load(joint)]
-        between = [joint.name for joint in fixed if joint.child in carrying]
-        at_ends = [joint.name for joint in fixed if joint.child not in carrying]
-        complete = [name for name, channels in self.logged.wrenches.items() if len(channels) == _WRENCH_SIZE]
-        sensors: dict[str, str] = {}
-        for name in complete:
-            joint = match(name, between)
-            if name in self.robot.links and joint != name:
-                continue
-            if joint is None and match(name, list(self.robot.links)) is None:
-                joint = match(name, at_ends) or self._only_sensor([*between, *at_ends], complete)
-            if joint is not None and joint not in sensors.values():
-                sensors[name] = joint
-        return sensors
-
-    def _has_load(self, joint: UrdfJoint) -> bool:
-        """True if a joint carries mass."""
-        links = [joint.child]
-        for link in links:
-            links += [other.child for other in self.robot.joints.values() if other.parent == link]
-        masses = [pi[0] for link in links if (pi := self.robot.links[link]) is not None]
-        return bool(sum(masses) > 0)
-
-    @staticmethod
-    def _only_sensor(joints: Sequence[str], logged: Sequence[str]) -> str | None:
-        """The only joint named as a sensor, for the only sensor that was logged; None if there are others."""
-        named = [joint for joint in joints if words(joint) & set(SENSOR_WORDS)]
-        return named[0] if len(named) == len(logged) == 1 else None
-
-    def _wrench_section(self, sensors: dict[str, str]) -> ConfigSection:
-        comments = (
-            "Sensors of force and moment at fixed joints (names in logs and URDF). offset: fit: the reading without load "
-            "is fitted.",
-            "sign: 1 if a hanging load reads a force upward, else -1.",
-        )
-        entries = []
-        for name, joint in sensors.items():
-            channel = {} if name == joint else {"channel": name}
-            entries.append({"joint": joint, **channel, "sign": 1, "offset": "fit"})
-        return ConfigSection("wrench_sensors", comments, entries)

@@ -45,14 +45,21 @@ def find_feet(robot: Robot, model: RobotModel) -> list[str]:
     model
         The same, with a floating base.
     """
-    carrying = {body.mount.body for body in model.bodies if body.kind == "link"}
     candidates: dict[int, list[str]] = {}
-    for link in robot.links:
-        body = model.frames[link].body
-        is_end = body not in carrying and count_joints(model, link) >= _LEG_JOINTS
-        if is_end and words(link) & set(FOOT_WORDS):
-            candidates.setdefault(body, []).append(link)
+    for link in leg_ends(robot, model):
+        if words(link) & set(FOOT_WORDS):
+            candidates.setdefault(model.frames[link].body, []).append(link)
     return [min(links, key=lambda link: _rank(robot, link)) for links in candidates.values()]
+
+
+def leg_ends(robot: Robot, model: RobotModel) -> list[str]:
+    """The links that are moved by at least three joints, and that carry no further joint."""
+    carrying = {body.mount.body for body in model.bodies if body.kind == "link"}
+    ends = []
+    for link in robot.links:
+        if model.frames[link].body not in carrying and count_joints(model, link) >= _LEG_JOINTS:
+            ends.append(link)
+    return ends
 
 
 def count_joints(model: RobotModel, link: str) -> int:

@@ -11,7 +11,8 @@ from idtool.common.exceptions import IdtoolError
 from idtool.common.names import join_names, printable
 from idtool.common.notice import unique
 from idtool.dynamics.effects import JointTerm, effect_types
-from idtool.estimation.dataset.experiment import Progress
+from idtool.estimation.dataset.experiment import Progress, prepare
+from idtool.estimation.dataset.wrench_sensor_sign import force_correlations
 from idtool.robot.config import parse_config
 from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
@@ -118,9 +119,10 @@ def _with_trials(draft: Draft, model: RobotModel, progress: Progress) -> Draft:
     """The draft with the results of trials, or the reason why there are none."""
     if draft.without_gains:
         return replace(draft, no_trials_reason=f"the controller gains of {join_names(draft.without_gains)} are missing")
-    parts = [_section(draft, key) for key in _SECTIONS_FOR_TRIALS]
-    data = {**draft.given, **{part.key: part.value for part in parts if part is not None and part.value is not None}}
-    runner = TrialRunner(draft.robot, data, draft.log_summary.logs, progress)
+    draft = _with_signs(draft)
+    if not draft.log_summary.with_torque:
+        return replace(draft, no_trials_reason="no torque was logged")
+    runner = TrialRunner(draft.robot, _trial_data(draft), draft.log_summary.logs, progress)
     on_joints: list[tuple[str, str]] = []
     searched: list[str] = []
     for effect, kind in effect_types().items():
@@ -137,6 +139,26 @@ def _with_trials(draft: Draft, model: RobotModel, progress: Progress) -> Draft:
         return replace(draft, trial_results=run_trials(runner, on_joints, searched))
     except IdtoolError as error:
         return replace(draft, no_trials_reason=f"the fit failed: {error}")
+
+
+def _trial_data(draft: Draft) -> dict[str, Any]:
+    """The configuration before the trials, plain data."""
+    parts = [_section(draft, key) for key in _SECTIONS_FOR_TRIALS]
+    return {**draft.given, **{part.key: part.value for part in parts if part is not None and part.value is not None}}
+
+
+def _with_signs(draft: Draft) -> Draft:
+    """The draft with the signs of proposed wrench sensors, as far as the first log tells them."""
+    if "wrench_sensors" not in draft.base.sections:
+        return draft
+    config = parse_config(_trial_data(draft), "trial")
+    try:
+        experiment = prepare(draft.robot, config, draft.log_summary.logs[:1])
+        signals = experiment.runs[0].signals
+        correlations = force_correlations(signals, experiment.model, experiment.config)
+    except IdtoolError:  # which the trials report
+        correlations = {}
+    return replace(draft, base=draft.base.with_signs(correlations))
 
 
 def _section(draft: Draft, key: str) -> ConfigSection | None:
@@ -191,9 +213,9 @@ def _findings(draft: Draft) -> list[str]:
 def _found_base(draft: Draft) -> Iterator[str]:
     """Findings on the base, one line each."""
     found = draft.base.values()
-    if "base" in found:
-        base = found["base"]
-        yield f"floating base {base['link']}, IMU {base['imu']['link']}" if "imu" in base else "fixed base with an IMU"
+    base = found.get("base", {})
+    if "imu" in base:
+        yield f"floating base {base['link']}, IMU {base['imu']['link']}"
     if "contacts" in found:
         yield f"contacts: {join_names([contact['name'] for contact in found['contacts']])}"
     if "wrench_sensors" in found:

@@ -20,6 +20,8 @@ from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot, UrdfJoint
 from idtool.setup.loaded_logs import LoadedLog, find_imu_topics, find_topic, load_logs
 from idtool.setup.log_notices import log_notices
+from idtool.setup.logged_sensors import LoggedSensors
+from idtool.setup.wrench_sensors import wrench_sensor_joints
 
 _MIN_CUTOFF = 5.0  # Hz; below it, friction at reversals cannot be told from other effects
 # Torque computed from a command has kp times the noise of q, which at ω looks like an inertia of kp / ω².
@@ -52,6 +54,8 @@ class LogSummary:
         The other actuated joints of the URDF.
     without_torque
         Joints that move and have neither torque nor position command, each with the first log that lacks both.
+    with_torque
+        Joints of ``joints`` with a torque or a command in some log.
     commanded
         Joints of ``joints`` with a position command but no torque in some log.
     topic, topics
@@ -76,6 +80,7 @@ class LogSummary:
     moving: tuple[str, ...]
     locked: dict[str, LockedJoint]
     without_torque: dict[str, str]
+    with_torque: tuple[str, ...]
     commanded: tuple[str, ...]
     topic: str | None
     topics: tuple[str, ...]
@@ -110,7 +115,10 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
     reasons = _unidentifiable_reasons(robot, given, logs)
     identifiable = tuple(name for name, reason in reasons.items() if reason is None)
     joints = identifiable if given.joints is None else given.joints
-    without_torque = {name: lacking[0] for name in reasons if (lacking := _logs_without_torque(name, logs))}
+    has_wrench_sensors = _has_wrench_sensors(robot, given, logs)
+    without_torque: dict[str, str] = {}
+    if not has_wrench_sensors:
+        without_torque = {name: lacking[0] for name in reasons if (lacking := _logs_without_torque(name, logs))}
     if not set(identifiable) & set(joints):
         raise LogError(paths[0], _no_joint_message(reasons, without_torque, logs))
     locked = {
@@ -121,6 +129,8 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
     moving = tuple(name for name in joints if _moves(name, logs))
     motion = float(np.median([_motion_band(log, moving) for log in logs]))
     commanded = tuple(name for name in joints if any(_is_commanded(name, log) for log in logs))
+    if has_wrench_sensors and given.controller is None:
+        commanded = ()  # whose torque is not needed
     bands = _BAND_OF_COMMANDED if commanded else BAND_FACTOR
     return LogSummary(
         logs=tuple(log.log for log in logs),
@@ -129,6 +139,7 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
         moving=moving,
         locked=locked,
         without_torque=without_torque,
+        with_torque=tuple(name for name in joints if any({"tau", "qcmd"} & _signals(name, log) for log in logs)),
         commanded=commanded,
         topic=topic if topics else None,
         topics=topics,
@@ -146,6 +157,7 @@ def _unidentifiable_reasons(robot: Robot, given: Config, logs: Sequence[LoadedLo
     logged = [name for name in logs[0].inspection.joints if all(name in log.inspection.joints for log in logs)]
     # raises for logs of another robot, or a missing joint
     build_model(robot, given.model_copy(update={"locked_joints": {}}), logged)
+    needs_torque = not _has_wrench_sensors(robot, given, logs)
     given_locked = given.locked_joints if given.joints is None else ()
     reasons: dict[str, str | None] = {}
     for joint in robot.joints.values():
@@ -156,17 +168,24 @@ def _unidentifiable_reasons(robot: Robot, given: Config, logs: Sequence[LoadedLo
         elif joint.name in given_locked:
             reasons[joint.name] = "locked in the configuration"
         else:
-            reasons[joint.name] = _log_reason(joint.name, logs)
+            reasons[joint.name] = _log_reason(joint.name, logs, needs_torque)
     return reasons
 
 
-def _log_reason(joint: str, logs: Sequence[LoadedLog]) -> str | None:
+def _has_wrench_sensors(robot: Robot, given: Config, logs: Sequence[LoadedLog]) -> bool:
+    """True if sensors of force and moment, given or logged, tell what the joints carry, so that none needs a torque."""
+    if given.wrench_sensors:
+        return True
+    return bool(wrench_sensor_joints(robot, LoggedSensors.of_logs([log.log for log in logs]).wrenches))
+
+
+def _log_reason(joint: str, logs: Sequence[LoadedLog], needs_torque: bool) -> str | None:
     """Reason why a joint that is in every log cannot be identified; None if it can."""
     if not all("q" in log.signals(joint) for log in logs):
         return "has no position in some log"
     if not _moves(joint, logs):
         return "does not move"
-    lacking = _logs_without_torque(joint, logs)
+    lacking = _logs_without_torque(joint, logs) if needs_torque else []
     return f"has neither torque nor position command in {join_names(lacking)}" if lacking else None
 
 
@@ -183,6 +202,10 @@ def _logs_without_torque(joint: str, logs: Sequence[LoadedLog]) -> list[str]:
         if joint in log.inspection.joints and not {"tau", "qcmd"} & log.signals(joint):
             names.append(log.log.path.name)
     return names
+
+
+def _signals(joint: str, log: LoadedLog) -> set[str]:
+    return log.signals(joint) if joint in log.inspection.joints else set()
 
 
 def _is_commanded(joint: str, log: LoadedLog) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -104,10 +105,10 @@ def _base_moves(log: JointLog) -> bool:
 
 def _change(log: JointLog, names: Sequence[str]) -> float:
     """Standard deviation of a vector whose noise is averaged out."""
-    squares = 0.0
+    variance = 0.0
     for name in names:
         channel = finite_samples(log.channels[name])
         step = float(np.median(np.diff(channel.t))) or _AVERAGE
         samples = min(max(round(_AVERAGE / step), 1), len(channel.x))
-        squares += float(np.var(uniform_filter1d(channel.x, samples)))
-    return squares**0.5
+        variance += float(np.var(uniform_filter1d(channel.x, samples)))
+    return math.sqrt(variance)

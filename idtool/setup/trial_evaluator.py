@@ -142,7 +142,7 @@ def _reduced(experiment: Experiment, parts: Callable[[Run], tuple[slice, ...]], 
         stage = f"reading {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(parts(run)), parts(run), progress, stage):
             rows = zip(*experiment.equation.counted_rows(batch), strict=True)
-            total = merge(total, tuple(Factor.from_shares(x, share, redundancy) for x, share in rows))
+            total = merge(total, tuple(Factor.from_shares(x, share.astype(float), redundancy) for x, share in rows))
     return total
 
 

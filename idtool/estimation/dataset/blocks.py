@@ -102,7 +102,7 @@ def cut_into_blocks(rows: Iterable[tuple[list[Array], Shares]], length: int, red
         while first < count:
             part = slice(first, min(first + length - filled, count))
             pairs = zip(columns, shares, strict=True)
-            new = tuple(Factor.from_shares(x[:, part], share[part], redundancy) for x, share in pairs)
+            new = tuple(Factor.from_shares(x[:, part], share[part].astype(float), redundancy) for x, share in pairs)
             block = new if block is None else merge(block, new)
             filled += part.stop - first
             first = part.stop

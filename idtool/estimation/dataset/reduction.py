@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.arrays import Array, Indices
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Factor:
         return cls(_triangle(block.T), block.shape[1], block.shape[1] / redundancy)
 
     @classmethod
-    def from_shares(cls, block: Array, shares: Array | Mask, redundancy: float = 1.0) -> Factor:
+    def from_shares(cls, block: Array, shares: Array, redundancy: float = 1.0) -> Factor:
         """The factor of the samples that count, as many as the sum of their shares of a row, shape (n,)."""
         factor = cls.from_columns(block[:, shares > 0], redundancy)
         rows = float(shares.sum())
