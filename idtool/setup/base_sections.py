@@ -179,8 +179,8 @@ class _Proposer:
     def _contacts(self, logged: dict[str, str], unmatched: Sequence[str]) -> None:
         """Propose the contacts of a floating base."""
         comments = [
-            "Where the ground, or whatever holds the robot, acts on it (names in logs and URDF). A point takes a force, a "
-            "surface also a moment."
+            "Where the ground, or whatever holds the robot, acts on it (names in logs and URDF). A point takes a "
+            "force, a surface also a moment."
         ]
         entries = [self._logged_contact(name, link) for name, link in logged.items()]
         touched = {self.model.frames[link].body for link in logged.values()}

@@ -112,12 +112,12 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
     topic, topics = find_topic(robot, paths, given)
     imu_topics = find_imu_topics(robot, paths, given, topic)
     logs = load_logs(robot, paths, given, topic, imu_topics[0] if imu_topics else None, progress)
-    reasons = _unidentifiable_reasons(robot, given, logs)
+    needs_torque = not _has_wrench_sensors(robot, given, logs)
+    reasons = _unidentifiable_reasons(robot, given, logs, needs_torque)
     identifiable = tuple(name for name, reason in reasons.items() if reason is None)
     joints = identifiable if given.joints is None else given.joints
-    has_wrench_sensors = _has_wrench_sensors(robot, given, logs)
     without_torque: dict[str, str] = {}
-    if not has_wrench_sensors:
+    if needs_torque:
         without_torque = {name: lacking[0] for name in reasons if (lacking := _logs_without_torque(name, logs))}
     if not set(identifiable) & set(joints):
         raise LogError(paths[0], _no_joint_message(reasons, without_torque, logs))
@@ -129,7 +129,7 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
     moving = tuple(name for name in joints if _moves(name, logs))
     motion = float(np.median([_motion_band(log, moving) for log in logs]))
     commanded = tuple(name for name in joints if any(_is_commanded(name, log) for log in logs))
-    if has_wrench_sensors and given.controller is None:
+    if given.controller is None and not needs_torque:
         commanded = ()  # whose torque is not needed
     bands = _BAND_OF_COMMANDED if commanded else BAND_FACTOR
     return LogSummary(
@@ -148,16 +148,17 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
         motion_hz=motion,
         bands=bands,
         cutoff_hz=_cutoff(bands * motion, min(default_cutoff(log.inspection.dt) for log in logs)),
-        notices=log_notices(robot, logs, joints, tuple(locked)),
+        notices=log_notices(robot, logs, joints, tuple(locked), needs_torque),
     )
 
 
-def _unidentifiable_reasons(robot: Robot, given: Config, logs: Sequence[LoadedLog]) -> dict[str, str | None]:
+def _unidentifiable_reasons(
+    robot: Robot, given: Config, logs: Sequence[LoadedLog], needs_torque: bool
+) -> dict[str, str | None]:
     """Reason why an actuated joint cannot be identified, by joint; None if it can."""
     logged = [name for name in logs[0].inspection.joints if all(name in log.inspection.joints for log in logs)]
     # raises for logs of another robot, or a missing joint
     build_model(robot, given.model_copy(update={"locked_joints": {}}), logged)
-    needs_torque = not _has_wrench_sensors(robot, given, logs)
     given_locked = given.locked_joints if given.joints is None else ()
     reasons: dict[str, str | None] = {}
     for joint in robot.joints.values():

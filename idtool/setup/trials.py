@@ -204,7 +204,7 @@ def run_trials(runner: TrialRunner, on_joints: Sequence[tuple[str, str]], search
         values=values,
         trials=(*trials, *more),
         rms={"friction": _rms(runner.joints, base), "found": _rms(runner.joints, last)},
-        differentiated=_differentiated(evaluator.experiment),
+        differentiated=_differentiated(runner.joints, evaluator.experiment),
         notices=(*evaluator.experiment.notices, *_notices(runner.joints, evaluator, trials, base, last)),
     )
 
@@ -308,6 +308,6 @@ def _rms(joints: Sequence[str], verdict: TrialScore) -> dict[str, float]:
     return {**known, "overall": verdict.rms()}
 
 
-def _differentiated(experiment: Experiment) -> tuple[str, ...]:
+def _differentiated(joints: Sequence[str], experiment: Experiment) -> tuple[str, ...]:
     flags = np.any([run.signals.velocity_from_position for run in experiment.runs], axis=0)
-    return tuple(name for name, flag in zip(experiment.model.joint_names, flags, strict=True) if flag)
+    return tuple(name for name, flag in zip(joints, flags, strict=True) if flag)
