@@ -6,7 +6,7 @@ They follow from the channels of the logs, and from the names and the geometry o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from idtool.common.names import join_names
@@ -44,6 +44,29 @@ class BaseSections:
     def values(self) -> dict[str, Any]:
         """Plain data of the sections."""
         return {key: section.value for key, section in self.sections.items()}
+
+    @property
+    def measured_contacts(self) -> list[str]:
+        """Names of the proposed contacts whose force was measured."""
+        entries = self.values().get("contacts", [])
+        return [entry["name"] for entry in entries if "force" in entry]
+
+    def with_frame(self, frame: str, is_certain: bool) -> BaseSections:
+        """A copy with the axes of the measured forces, which the user has to check if they are not certain."""
+        section = self.sections["contacts"]
+        entries = [{**entry, "frame": frame} if "force" in entry else entry for entry in section.value]
+        names = join_names(self.measured_contacts)
+        comments, todo = section.comments, self.todo
+        if is_certain:
+            comments = (
+                *comments,
+                f"frame of {names}: the axes of which the torque is explained better (found by trial).",
+            )
+        else:
+            comments = (*comments, f"frame of {names}: world or link; the logs do not tell which.")
+            todo = (*todo, TodoItem("contacts.frame", f"the axes of the force of {names}: world or link"))
+        section = replace(section, comments=comments, value=entries)
+        return BaseSections({**self.sections, "contacts": section}, todo)
 
     def with_signs(self, correlations: Mapping[str, float]) -> BaseSections:
         """A copy with the signs of the wrench sensors by `force_correlations`."""
@@ -264,12 +287,6 @@ class _Proposer:
         closed = [entry["name"] for entry in surfaces if "flag" not in entry and "force" not in entry]
         if closed:
             comments.append(f"Always closed without a flag, which costs accuracy: {join_names(closed)}.")
-        forces = [entry["name"] for entry in entries if "force" in entry]
-        if forces:
-            comments.append("frame: axes of the measured force, world or link; the logs do not tell which.")
-            self.todo.append(
-                TodoItem("contacts.frame", f"the axes of the force of {join_names(forces)}: world or link")
-            )
         both = [name for name in logged if name in self.logged.flags and name in self.logged.wrenches]
         if both:
             first = self.logged.wrenches[both[0]]

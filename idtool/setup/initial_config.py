@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from idtool.setup.draft import Draft
 from idtool.setup.log_summary import summarize_logs
 from idtool.setup.records import ConfigSection, InitialConfig, TodoItem
 from idtool.setup.transmissions import gear_ratios, rotor_links
-from idtool.setup.trials import TrialResults, TrialRunner, run_trials, search_of, trial_of
+from idtool.setup.trials import TrialResults, TrialRunner, TrialTerms, run_trials, search_of, trial_of
 from idtool.setup.yaml_text import configuration_text, one_line
 
 _SECTIONS: Mapping[str, Callable[[Draft], ConfigSection | None]] = {
@@ -45,6 +46,7 @@ _SECTIONS: Mapping[str, Callable[[Draft], ConfigSection | None]] = {
 }
 _BASE = ("base", "contacts", "wrench_sensors")
 _SECTIONS_FOR_TRIALS = ("joints", "locked_joints", *_BASE, "log", "filter", "bounding_ellipsoids", "controller")
+_MIN_FRAME_RATIO = 1.5  # of the torque error along the wrong axes to that along the right ones
 _MERGED = ("locked_joints", "controller")  # their sections include the given values
 _BY_TRIAL = ("friction", "effects")  # no trials if they are given
 
@@ -122,6 +124,7 @@ def _with_trials(draft: Draft, model: RobotModel, progress: Progress) -> Draft:
     draft = _with_signs(draft)
     if not draft.log_summary.with_torque:
         return replace(draft, no_trials_reason="no torque was logged")
+    draft = _with_frame(draft, progress)
     runner = TrialRunner(draft.robot, _trial_data(draft), draft.log_summary.logs, progress)
     on_joints: list[tuple[str, str]] = []
     searched: list[str] = []
@@ -159,6 +162,24 @@ def _with_signs(draft: Draft) -> Draft:
     except IdtoolError:  # which the trials report
         correlations = {}
     return replace(draft, base=draft.base.with_signs(correlations))
+
+
+def _with_frame(draft: Draft, progress: Progress) -> Draft:
+    """The draft with the axes of measured forces on the feet of which the logs are explained better."""
+    if not draft.base.measured_contacts:
+        return draft
+    errors: dict[str, float] = {}
+    for frame in ("world", "link"):
+        progress(f"trying forces along the axes of the {frame}", 0.5 * len(errors))
+        data = _trial_data(replace(draft, base=draft.base.with_frame(frame, is_certain=True)))
+        runner = TrialRunner(draft.robot, data, draft.log_summary.logs, progress)
+        try:
+            errors[frame] = runner.evaluator(runner.config(TrialTerms())).score(runner.config(TrialTerms())).rms()
+        except IdtoolError:  # without an orientation, there are no axes of the world
+            errors[frame] = math.inf
+    best = min(errors, key=lambda frame: errors[frame])
+    is_certain = _MIN_FRAME_RATIO * errors[best] < max(errors.values()) < math.inf
+    return replace(draft, base=draft.base.with_frame(best if is_certain else "world", is_certain))
 
 
 def _section(draft: Draft, key: str) -> ConfigSection | None:
