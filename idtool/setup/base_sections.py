@@ -68,6 +68,22 @@ class BaseSections:
         section = replace(section, comments=comments, value=entries)
         return BaseSections({**self.sections, "contacts": section}, todo)
 
+    def with_support(self, root: str, logs: Sequence[str]) -> BaseSections:
+        """A copy with a contact for what holds the root in some logs while no other contact is closed."""
+        section = self.sections["contacts"]
+        names = [entry["name"] for entry in section.value]
+        name = "support"
+        while name in names:
+            name += "_"
+        comment = (
+            f"{name}: what holds {root} in {join_names(logs)} while no contact is closed, such as a rope (logs). "
+            "Without a flag, it is always closed, which costs accuracy."
+        )
+        entry = {"name": name, "link": root, "kind": "surface"}
+        section = replace(section, comments=(*section.comments, comment), value=[*section.value, entry])
+        todo = TodoItem("contacts.flag", f"log when {name} holds the robot, or leave out {join_names(logs)}")
+        return BaseSections({**self.sections, "contacts": section}, (*self.todo, todo))
+
     def with_signs(self, correlations: Mapping[str, float]) -> BaseSections:
         """A copy with the signs of the wrench sensors by `force_correlations`."""
         section, todo = with_signs(self.sections["wrench_sensors"], correlations)
@@ -163,6 +179,8 @@ class _Proposer:
         if topic is not None:
             comments.append(f"imu.topic: one of {join_names(self.imu_topics)} (logs).")
             imu["topic"] = topic
+            if len(self.imu_topics) > 1:
+                self.todo.append(TodoItem("base.imu.topic", f"one of {join_names(self.imu_topics)}: that on the base"))
         comments.append("imu.delay: how late the IMU is, s; auto (default): determined while the robot stands.")
         value = {"kind": "floating", "link": self.robot.root, "imu": {**imu, "delay": "auto"}}
         return ConfigSection("base", tuple(comments), value)
@@ -281,8 +299,7 @@ class _Proposer:
         detected = [entry["name"] for entry in entries if entry.get("flag") == "auto"]
         if detected:
             comments.append(
-                f"flag: auto: no flag of {join_names(detected)} was logged, so the torque of the leg tells. If "
-                f"something else holds the robot in a log, add {{name: rope, link: {self.robot.root}, kind: surface}}."
+                f"flag: auto: no flag of {join_names(detected)} was logged, so the torque of the leg tells."
             )
         closed = [entry["name"] for entry in surfaces if "flag" not in entry and "force" not in entry]
         if closed:

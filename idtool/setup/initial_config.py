@@ -21,6 +21,7 @@ from idtool.setup import model_sections, sections
 from idtool.setup.base_sections import base_sections
 from idtool.setup.bounds import find_bounds, search_paths
 from idtool.setup.draft import Draft
+from idtool.setup.held_base import held_logs
 from idtool.setup.log_summary import summarize_logs
 from idtool.setup.records import ConfigSection, InitialConfig, TodoItem
 from idtool.setup.transmissions import gear_ratios, rotor_links
@@ -124,6 +125,7 @@ def _with_trials(draft: Draft, model: RobotModel, progress: Progress) -> Draft:
     draft = _with_signs(draft)
     if not draft.log_summary.with_torque:
         return replace(draft, no_trials_reason="no torque was logged")
+    draft = _with_support(draft)
     draft = _with_frame(draft, progress)
     runner = TrialRunner(draft.robot, _trial_data(draft), draft.log_summary.logs, progress)
     on_joints: list[tuple[str, str]] = []
@@ -162,6 +164,18 @@ def _with_signs(draft: Draft) -> Draft:
     except IdtoolError:  # which the trials report
         correlations = {}
     return replace(draft, base=draft.base.with_signs(correlations))
+
+
+def _with_support(draft: Draft) -> Draft:
+    """The draft with a contact for what holds the robot while no other contact is closed, if there is such a log."""
+    if "contacts" not in draft.base.sections:
+        return draft
+    config = parse_config(_trial_data(draft), "trial")
+    try:
+        held = held_logs(prepare(draft.robot, config, draft.log_summary.logs))
+    except IdtoolError:  # which the trials report
+        held = []
+    return replace(draft, base=draft.base.with_support(draft.robot.root, held)) if held else draft
 
 
 def _with_frame(draft: Draft, progress: Progress) -> Draft:

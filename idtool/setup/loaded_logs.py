@@ -190,4 +190,4 @@ def find_imu_topics(robot: Robot, paths: Sequence[Path], given: Config, topic: s
     of_joints = {topic} if topic is not None else {name for path in existing for name in state_topics(path, messages)}
     if of_joints & set(found):
         return ()
-    return tuple(sorted(found, key=lambda name: -sum(name in names for names in by_log)))
+    return tuple(sorted(found, key=lambda name: (-sum(name in names for names in by_log), len(name))))
