@@ -57,7 +57,12 @@ class LoadedLog:
 
 
 def load_logs(
-    robot: Robot, paths: Sequence[Path], given: Config, topic: str | None, imu_topic: str | None, progress: Progress
+    robot: Robot,
+    paths: Sequence[Path],
+    given: Config,
+    topic: str | None,
+    sensors: SensorOptions | None,
+    progress: Progress,
 ) -> list[LoadedLog]:
     """Read and inspect the logs.
 
@@ -67,8 +72,10 @@ def load_logs(
         The robot and its logs.
     given
         How to read the logs. A joint in its ``joints`` without command is passive and may have zero torque.
-    topic, imu_topic
-        The topics to read the joints and the IMU from.
+    topic
+        The topic to read.
+    sensors
+        How to read the topics of sensors; None: they are not read.
     progress
         Callback for the stage and its share that is done.
 
@@ -78,7 +85,6 @@ def load_logs(
         If a log cannot be read.
     """
     logs: list[LoadedLog] = []
-    sensors = SensorOptions(imu_topic)
     for path in paths:
         progress(f"inspecting {path.name}", len(logs) / len(paths))
         logs.append(_inspect(_read(path, robot, given, topic, sensors), robot, given.joints or ()))
@@ -174,20 +180,26 @@ def find_topic(robot: Robot, paths: Sequence[Path], given: Config) -> tuple[str 
     return max(shared, key=score), tuple(shared)
 
 
-def find_imu_topics(robot: Robot, paths: Sequence[Path], given: Config, topic: str | None) -> tuple[str, ...]:
-    """The topics to choose the IMU from, the chosen one first; empty if there is one at most.
+def find_imu(
+    robot: Robot, paths: Sequence[Path], given: Config, topic: str | None
+) -> tuple[SensorOptions | None, tuple[str, ...]]:
+    """How to read the sensors, and the topics to choose the IMU from, the chosen one first.
 
-    It is empty, too, if the messages of the joints, on ``topic`` or on the only topic of joints, carry an IMU.
+    There are none to choose from if no log has several, or if the messages of the joints, on ``topic`` or on the only
+    topic of joints, carry an IMU. The sensors are not read if there are several IMUs, none of them in all logs.
     """
     if given.base.imu.topic is not None:
-        return (given.base.imu.topic,)
+        return SensorOptions(given.base.imu.topic), ()
     messages = message_options(given.log, robot.joints)
     existing = [path for path in paths if path.exists()]
     by_log = [imu_topics(path, messages) for path in existing]
-    found = list(dict.fromkeys(name for names in by_log for name in names))
-    if len(found) < 2:
-        return ()
+    if all(len(names) < 2 for names in by_log):
+        return SensorOptions(), ()
     of_joints = {topic} if topic is not None else {name for path in existing for name in state_topics(path, messages)}
-    if of_joints & set(found):
-        return ()
-    return tuple(sorted(found, key=lambda name: (-sum(name in names for names in by_log), len(name))))
+    if all(of_joints & set(names) for names in by_log):
+        return SensorOptions(), ()
+    shared = [name for name in by_log[0] if all(name in names for names in by_log)]
+    if not shared:
+        return None, ()
+    shared.sort(key=len)
+    return SensorOptions(shared[0]), tuple(shared)

@@ -18,7 +18,7 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot, UrdfJoint
-from idtool.setup.loaded_logs import LoadedLog, find_imu_topics, find_topic, load_logs
+from idtool.setup.loaded_logs import LoadedLog, find_imu, find_topic, load_logs
 from idtool.setup.log_notices import log_notices
 from idtool.setup.logged_sensors import LoggedSensors
 from idtool.setup.wrench_sensors import wrench_sensor_joints
@@ -110,8 +110,8 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
         If a log cannot be read, or no joint of the robot moves and has a torque or a command.
     """
     topic, topics = find_topic(robot, paths, given)
-    imu_topics = find_imu_topics(robot, paths, given, topic)
-    logs = load_logs(robot, paths, given, topic, imu_topics[0] if imu_topics else None, progress)
+    sensors, imu_topics = find_imu(robot, paths, given, topic)
+    logs = load_logs(robot, paths, given, topic, sensors, progress)
     needs_torque = not _has_wrench_sensors(robot, given, logs)
     reasons = _unidentifiable_reasons(robot, given, logs, needs_torque)
     identifiable = tuple(name for name, reason in reasons.items() if reason is None)
