@@ -288,6 +288,8 @@ def _todo_items(draft: Draft) -> list[TodoItem]:
     elif draft.no_trials_reason:
         items.append(TodoItem("friction, effects", f"nothing was tried, because {draft.no_trials_reason}"))
     items += draft.base.todo
+    if not draft.log_summary.are_sensors_read:
+        items.append(TodoItem("base.imu.topic", "name the IMU, if the base moves: no topic of one is in all logs"))
     if without_torque := draft.log_summary.without_torque:
         named = join_names([f"tau_{name} (not in {log})" for name, log in without_torque.items()])
         items.append(TodoItem("log.columns", f"give the column of the torque, or log the command instead: {named}"))

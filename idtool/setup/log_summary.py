@@ -62,6 +62,8 @@ class LogSummary:
         The topic that is read, if there are several, and all topics.
     imu_topics
         The topics to choose the IMU from, the one that is read first; empty if there is one at most.
+    are_sensors_read
+        False if there are several IMUs, none of them in all logs.
     rates_hz
         Sampling rate of each log.
     motion_hz
@@ -85,6 +87,7 @@ class LogSummary:
     topic: str | None
     topics: tuple[str, ...]
     imu_topics: tuple[str, ...]
+    are_sensors_read: bool
     rates_hz: tuple[float, ...]
     motion_hz: float
     bands: float
@@ -144,6 +147,7 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
         topic=topic if topics else None,
         topics=topics,
         imu_topics=imu_topics,
+        are_sensors_read=sensors is not None,
         rates_hz=tuple(log.inspection.rate_hz for log in logs),
         motion_hz=motion,
         bands=bands,

@@ -267,7 +267,7 @@ def _search_value(
             config = runner.config(terms.at(effect, value))
             evaluator = runner.evaluator(config)
             known[value] = evaluator, evaluator.score(config)
-        return float(np.mean(known[value][1].train / np.maximum(full.train, _TINY)))
+        return float(np.nanmean(known[value][1].train / np.maximum(full.train, _TINY)))
 
     dt = min(run.signals.log.dt for run in first.experiment.runs)
     best = _minimize(cost, search.step / first.experiment.band_hz, dt, search.maximum)

@@ -99,6 +99,7 @@ def test_of_several_imus_the_one_in_all_logs_is_read(
     write_mcap(logs[1], recordings["hang"], imu_topics=("/head/imu",))
     with_none = first_config(urdf, logs, NO_TRIALS)
     assert "base" not in with_none.data
+    assert "base.imu.topic" in [item.key for item in with_none.todo]
 
 
 @pytest.mark.parametrize("frame", ["world", "link"])
