@@ -14,16 +14,15 @@ from idtool.data.logs import JointLog
 from idtool.robot.config import Config
 from idtool.robot.model import WRENCH_SIZE, RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
-from idtool.setup.feet import count_joints, find_feet, leg_ends, touch_of
+from idtool.setup.feet import find_feet, leg_ends, touch_of
 from idtool.setup.logged_sensors import LoggedSensors
 from idtool.setup.name_matching import match, words
 from idtool.setup.records import ConfigSection, TodoItem
 from idtool.setup.wrench_sensors import with_signs, wrench_sensor_joints, wrench_sensors_section
 
-_WORLD = ({"world"}, {"map"}, {"odom"}, {"ground"})  # words of a root link that stands still
+_WORLD = {"world", "map", "odom", "ground"}  # words of a root link that stands still
 _HOLDERS = {"rope", "crane", "hoist", "gantry", "harness", "tether", "cable", "string", "stand", "hook", "support"}
 _BODIES = {"base", "body", "trunk", "torso", "pelvis"}
-_FEWEST_JOINTS = 3  # that move a foot, by whose torque a contact can be detected
 
 
 @dataclass(frozen=True)
@@ -58,10 +57,7 @@ class BaseSections:
         names = join_names(self.measured_contacts)
         comments, todo = section.comments, self.todo
         if is_certain:
-            comments = (
-                *comments,
-                f"frame of {names}: the axes of which the torque is explained better (found by trial).",
-            )
+            comments = (*comments, f"frame of {names}: the axes that explain the torque better (found by trial).")
         else:
             comments = (*comments, f"frame of {names}: world or link; the logs do not tell which.")
             todo = (*todo, TodoItem("contacts.frame", f"the axes of the force of {names}: world or link"))
@@ -149,7 +145,7 @@ class _Proposer:
                 self.todo.append(TodoItem("base", "the logs have contacts and no IMU: log one if the base moves"))
             return False
         reason = None
-        if words(self.robot.root) in _WORLD:
+        if words(self.robot.root) & _WORLD:
             reason = f"the URDF's root is {self.robot.root}"
         elif not logged.base_moves and not has_contacts:
             reason = "the IMU stands still, and no contact was logged"
@@ -219,6 +215,8 @@ class _Proposer:
 
     def _contacts(self, logged: dict[str, str], unmatched: Sequence[str]) -> None:
         """Propose the contacts of a floating base."""
+        if "contacts" in self.config.model_fields_set:
+            return
         comments = [
             "Where the ground, or whatever holds the robot, acts on it (names in logs and URDF). A point takes a "
             "force, a surface also a moment."
@@ -240,8 +238,9 @@ class _Proposer:
             channels = [self.logged.flags.get(name, f"force_{name}_x") for name in unmatched]
             comments.append(f"Channels that match no link: {join_names(channels)}.")
             self.todo.append(TodoItem("contacts", f"the links of {join_names(channels)}"))
-        if "contacts" not in self.config.model_fields_set:
-            self.sections["contacts"] = ConfigSection("contacts", tuple(comments), entries)
+        if self.logged.in_some_logs:
+            comments.append(f"Not used, because some log lacks them: {join_names(self.logged.in_some_logs)}.")
+        self.sections["contacts"] = ConfigSection("contacts", tuple(comments), entries)
 
     def _logged_contact(self, name: str, link: str) -> dict[str, Any]:
         """A contact with its flag or, if it has none, with its measured wrench."""
@@ -260,9 +259,7 @@ class _Proposer:
     def _unlogged_contact(self, foot: str) -> dict[str, Any]:
         """A contact that the torque of the leg tells; always closed if it cannot tell the moment."""
         entry = {"name": foot, "link": foot, **self._touch(foot)}
-        if entry["kind"] == "point" and count_joints(self.model, foot) >= _FEWEST_JOINTS:
-            entry["flag"] = "auto"
-        return entry
+        return {**entry, "flag": "auto"} if entry["kind"] == "point" else entry
 
     def _touch(self, link: str) -> dict[str, Any]:
         """Kind of a contact, and radius and centre of the ball if the URDF has one."""

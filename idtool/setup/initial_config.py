@@ -193,7 +193,8 @@ def _with_frame(draft: Draft, progress: Progress) -> Draft:
             errors[frame] = math.inf
     best = min(errors, key=lambda frame: errors[frame])
     is_certain = _MIN_FRAME_RATIO * errors[best] < max(errors.values()) < math.inf
-    return replace(draft, base=draft.base.with_frame(best if is_certain else "world", is_certain))
+    frame = best if is_certain or math.isinf(errors["world"]) else "world"
+    return replace(draft, base=draft.base.with_frame(frame, is_certain))
 
 
 def _section(draft: Draft, key: str) -> ConfigSection | None:

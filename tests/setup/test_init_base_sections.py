@@ -155,6 +155,13 @@ def test_the_end_of_a_leg_stands_for_a_foot_that_is_no_link(robot_of: Read) -> N
     assert "contacts.point" in [item.key for item in sections.todo]
 
 
+def test_channel_that_a_log_lacks_is_named(robot_of: Read) -> None:
+    logs = (log_with([*IMU, *FLAGS, "contact_rope"]), log_with([*IMU, *FLAGS]))
+    sections = proposed(robot_of(QUADRUPED), *logs)
+    assert [contact["name"] for contact in sections.values()["contacts"]] == list(FEET)
+    assert "some log lacks them: contact_rope" in comments(sections, "contacts")
+
+
 def test_imu_without_a_link_is_named_as_missing(robot_of: Read) -> None:
     text = QUADRUPED.replace('"imu_link"', '"unit"')
     sections = proposed(robot_of(text), log_with([*IMU, *FLAGS]), imu_topics=("/imu", "/head/imu"))

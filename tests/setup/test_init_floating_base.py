@@ -115,6 +115,16 @@ def test_axes_of_measured_forces_are_found(
     assert "contacts.frame" not in [item.key for item in result.todo]
 
 
+def test_forces_are_along_the_links_if_no_orientation_was_logged(
+    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
+) -> None:
+    logs = logs_of(tmp_path, {"stand": recordings["stand"]}, "contact_", "imu_q")
+    result = first_config(urdf, logs, NO_TRIALS)
+    assert {contact["frame"] for contact in result.data["contacts"]} == {"link"}
+    assert "contacts.frame" in [item.key for item in result.todo]
+    assert result.rms is not None  # so that the fit can read it
+
+
 def _forces_along_links(urdf: Path, recording: Recording) -> dict[str, Array]:
     """The forces on the feet along the axes of the feet, by Pinocchio."""
     model = pin.buildModelFromUrdf(str(urdf), pin.JointModelFreeFlyer())
