@@ -65,6 +65,22 @@ def link_geometry(robot: Robot, link: str) -> LinkGeometry:
     return LinkGeometry(np.empty((0, 3)), (), notes)
 
 
+def link_sphere(robot: Robot, link: str) -> tuple[Array, float] | None:
+    """Centre, shape (3,), in the link's frame and radius [m] of the only sphere in a link's geometry.
+
+    Collision geometry comes first; None if neither that nor the visual one has a single sphere.
+    """
+    element = _link_element(robot, link)
+    for tag in ("collision", "visual"):
+        parts = [(own, _geometry_element(own)) for own in element.findall(tag)]
+        spheres = [(own, part) for own, part in parts if part is not None and part.tag == "sphere"]
+        if len(spheres) == 1:
+            own, part = spheres[0]
+            with suppress(UnreadableGeometryError):
+                return _origin(own)[1], float(abs(numeric_attribute(part, "radius", 1)[0]))
+    return None
+
+
 def link_surface(robot: Robot, link: str) -> Mesh:
     """Triangles of a link's visual geometry or, where none of that can be read, of its collision geometry.
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
+from idtool.setup.base_sections import BaseSections
 from idtool.setup.bounds import Bounds
 from idtool.setup.log_summary import LogSummary
 from idtool.setup.trials import TrialResults
@@ -40,6 +41,8 @@ class Draft:
         Bounding ellipsoids.
     ratios, rotors
         Gear ratio and URDF link of the rotor, by joint.
+    base
+        Sections on a floating base, its contacts and wrench sensors.
     trial_results
         Results of the trials; None if there were none.
     no_trials_reason
@@ -55,6 +58,7 @@ class Draft:
     bounds: Bounds
     ratios: Mapping[str, float]
     rotors: Mapping[str, str]
+    base: BaseSections
     trial_results: TrialResults | None = None
     no_trials_reason: str = ""
 
@@ -67,6 +71,12 @@ class Draft:
     def locked(self) -> dict[str, float]:
         """Positions of the locked joints [rad or m], given or from the logs."""
         return {name: lock.position for name, lock in self.log_summary.locked.items()} | self.config.locked_joints
+
+    @property
+    def has_floating_base(self) -> bool:
+        """True if the base floats, as given or as proposed."""
+        proposed = self.base.values().get("base", {})
+        return "floating" in (proposed.get("kind"), self.config.base.kind)
 
     @property
     def origin(self) -> str:

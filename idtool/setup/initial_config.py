@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,23 +12,29 @@ from idtool.common.exceptions import IdtoolError
 from idtool.common.names import join_names, printable
 from idtool.common.notice import unique
 from idtool.dynamics.effects import JointTerm, effect_types
-from idtool.estimation.dataset.experiment import Progress
+from idtool.estimation.dataset.experiment import Progress, prepare
+from idtool.estimation.dataset.wrench_sensor_sign import force_correlations
 from idtool.robot.config import parse_config
 from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
 from idtool.setup import model_sections, sections
+from idtool.setup.base_sections import base_sections
 from idtool.setup.bounds import find_bounds, search_paths
 from idtool.setup.draft import Draft
+from idtool.setup.held_base import held_logs
 from idtool.setup.log_summary import summarize_logs
 from idtool.setup.records import ConfigSection, InitialConfig, TodoItem
 from idtool.setup.transmissions import gear_ratios, rotor_links
-from idtool.setup.trials import TrialResults, TrialRunner, run_trials, search_of, trial_of
+from idtool.setup.trials import TrialResults, TrialRunner, TrialTerms, run_trials, search_of, trial_of
 from idtool.setup.yaml_text import configuration_text, one_line
 
 _SECTIONS: Mapping[str, Callable[[Draft], ConfigSection | None]] = {
     "joints": sections.joints,
     "locked_joints": sections.locked_joints,
     "gravity": sections.gravity,
+    "base": lambda draft: draft.base.sections.get("base"),
+    "contacts": lambda draft: draft.base.sections.get("contacts"),
+    "wrench_sensors": lambda draft: draft.base.sections.get("wrench_sensors"),
     "log": sections.log,
     "velocity": sections.velocity,
     "filter": sections.low_pass,
@@ -38,7 +45,9 @@ _SECTIONS: Mapping[str, Callable[[Draft], ConfigSection | None]] = {
     "controller": model_sections.controller,
     "known": model_sections.known,
 }
-_SECTIONS_FOR_TRIALS = ("joints", "locked_joints", "log", "filter", "bounding_ellipsoids", "controller")
+_BASE = ("base", "contacts", "wrench_sensors")
+_SECTIONS_FOR_TRIALS = ("joints", "locked_joints", *_BASE, "log", "filter", "bounding_ellipsoids", "controller")
+_MIN_FRAME_RATIO = 1.5  # of the torque error along the wrong axes to that along the right ones
 _MERGED = ("locked_joints", "controller")  # their sections include the given values
 _BY_TRIAL = ("friction", "effects")  # no trials if they are given
 
@@ -87,11 +96,12 @@ def _make_draft(
 ) -> Draft:
     """Collect everything that the sections are written from."""
     config = parse_config(given, str(source))
-    config.require_only_joints("init")
     summary = summarize_logs(robot, logs, config, progress)
     progress("reading geometry", 0.0)
     locked = {name: lock.position for name, lock in summary.locked.items()} | config.locked_joints
-    model_settings = config.model_copy(update={"joints": summary.joints, "locked_joints": locked})
+    base = base_sections(robot, summary.logs, config, summary.joints, summary.imu_topics)
+    with_base = parse_config({**base.values(), **given}, "idtool init")
+    model_settings = with_base.model_copy(update={"joints": summary.joints, "locked_joints": locked})
     model = build_model(robot, model_settings, summary.joints)
     draft = Draft(
         robot=robot,
@@ -103,6 +113,7 @@ def _make_draft(
         bounds=find_bounds(robot, model),
         ratios=gear_ratios(robot),
         rotors=rotor_links(robot, summary.joints),
+        base=base,
     )
     return _with_trials(draft, model, progress)
 
@@ -111,9 +122,12 @@ def _with_trials(draft: Draft, model: RobotModel, progress: Progress) -> Draft:
     """The draft with the results of trials, or the reason why there are none."""
     if draft.without_gains:
         return replace(draft, no_trials_reason=f"the controller gains of {join_names(draft.without_gains)} are missing")
-    parts = [_section(draft, key) for key in _SECTIONS_FOR_TRIALS]
-    data = {**draft.given, **{part.key: part.value for part in parts if part is not None and part.value is not None}}
-    runner = TrialRunner(draft.robot, data, draft.log_summary.logs, progress)
+    draft = _with_signs(draft)
+    if not draft.log_summary.with_torque:
+        return replace(draft, no_trials_reason="no torque was logged")
+    draft = _with_support(draft)
+    draft = _with_frame(draft, progress)
+    runner = TrialRunner(draft.robot, _trial_data(draft), draft.log_summary.logs, progress)
     on_joints: list[tuple[str, str]] = []
     searched: list[str] = []
     for effect, kind in effect_types().items():
@@ -130,6 +144,57 @@ def _with_trials(draft: Draft, model: RobotModel, progress: Progress) -> Draft:
         return replace(draft, trial_results=run_trials(runner, on_joints, searched))
     except IdtoolError as error:
         return replace(draft, no_trials_reason=f"the fit failed: {error}")
+
+
+def _trial_data(draft: Draft) -> dict[str, Any]:
+    """The configuration before the trials, plain data."""
+    parts = [_section(draft, key) for key in _SECTIONS_FOR_TRIALS]
+    return {**draft.given, **{part.key: part.value for part in parts if part is not None and part.value is not None}}
+
+
+def _with_signs(draft: Draft) -> Draft:
+    """The draft with the signs of proposed wrench sensors, as far as the first log tells them."""
+    if "wrench_sensors" not in draft.base.sections:
+        return draft
+    config = parse_config(_trial_data(draft), "trial")
+    try:
+        experiment = prepare(draft.robot, config, draft.log_summary.logs[:1])
+        signals = experiment.runs[0].signals
+        correlations = force_correlations(signals, experiment.model, experiment.config)
+    except IdtoolError:  # which the trials report
+        correlations = {}
+    return replace(draft, base=draft.base.with_signs(correlations))
+
+
+def _with_support(draft: Draft) -> Draft:
+    """The draft with a contact for what holds the robot while no other contact is closed, if there is such a log."""
+    if "contacts" not in draft.base.sections:
+        return draft
+    config = parse_config(_trial_data(draft), "trial")
+    try:
+        held = held_logs(prepare(draft.robot, config, draft.log_summary.logs))
+    except IdtoolError:  # which the trials report
+        held = []
+    return replace(draft, base=draft.base.with_support(draft.robot.root, held)) if held else draft
+
+
+def _with_frame(draft: Draft, progress: Progress) -> Draft:
+    """The draft with the axes of measured forces on the feet of which the logs are explained better."""
+    if not draft.base.measured_contacts:
+        return draft
+    errors: dict[str, float] = {}
+    for frame in ("world", "link"):
+        progress(f"trying forces along the axes of the {frame}", 0.5 * len(errors))
+        data = _trial_data(replace(draft, base=draft.base.with_frame(frame, is_certain=True)))
+        runner = TrialRunner(draft.robot, data, draft.log_summary.logs, progress)
+        try:
+            errors[frame] = runner.evaluator(runner.config(TrialTerms())).score(runner.config(TrialTerms())).rms()
+        except IdtoolError:  # without an orientation, there are no axes of the world
+            errors[frame] = math.inf
+    best = min(errors, key=lambda frame: errors[frame])
+    is_certain = _MIN_FRAME_RATIO * errors[best] < max(errors.values()) < math.inf
+    frame = best if is_certain or math.isinf(errors["world"]) else "world"
+    return replace(draft, base=draft.base.with_frame(frame, is_certain))
 
 
 def _section(draft: Draft, key: str) -> ConfigSection | None:
@@ -171,6 +236,7 @@ def _findings(draft: Draft) -> list[str]:
         lines.append(f"joints assumed to stand still: {join_names(draft.locked)}")
     if summary.topic is not None:
         lines.append(f"topic {summary.topic}, out of {join_names(summary.topics)}")
+    lines += _found_base(draft)
     if "filter" not in draft.given:
         lines.append(f"motion below {summary.motion_hz:.2g} Hz, so filter.cutoff_hz is {summary.cutoff_hz:g}")
     if draft.bounds.ellipsoids:
@@ -178,6 +244,18 @@ def _findings(draft: Draft) -> list[str]:
     if geared := [name for name, ratio in draft.ratios.items() if abs(ratio) != 1]:
         lines.append(f"gear ratios of {join_names(geared)}")
     return lines if results is None else [*lines, *_kept_effects(results)]
+
+
+def _found_base(draft: Draft) -> Iterator[str]:
+    """Findings on the base, one line each."""
+    found = draft.base.values()
+    base = found.get("base", {})
+    if "imu" in base:
+        yield f"floating base {base['link']}, IMU {base['imu']['link']}"
+    if "contacts" in found:
+        yield f"contacts: {join_names([contact['name'] for contact in found['contacts']])}"
+    if "wrench_sensors" in found:
+        yield f"wrench sensors: {join_names([sensor['joint'] for sensor in found['wrench_sensors']])}"
 
 
 def _kept_effects(results: TrialResults) -> Iterator[str]:
@@ -210,6 +288,9 @@ def _todo_items(draft: Draft) -> list[TodoItem]:
         )
     elif draft.no_trials_reason:
         items.append(TodoItem("friction, effects", f"nothing was tried, because {draft.no_trials_reason}"))
+    items += draft.base.todo
+    if not draft.log_summary.are_sensors_read:
+        items.append(TodoItem("base.imu.topic", "name the IMU, if the base moves: no topic of one is in all logs"))
     if without_torque := draft.log_summary.without_torque:
         named = join_names([f"tau_{name} (not in {log})" for name, log in without_torque.items()])
         items.append(TodoItem("log.columns", f"give the column of the torque, or log the command instead: {named}"))

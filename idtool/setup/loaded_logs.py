@@ -17,7 +17,8 @@ from idtool.data.inspection import Inspection, inspect_log
 from idtool.data.inspection.records import InspectedJoint
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.message_options import message_options
-from idtool.data.logs.state_topics import state_topics
+from idtool.data.logs.sensor_channels import SensorOptions
+from idtool.data.logs.state_topics import imu_topics, state_topics
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
@@ -56,7 +57,12 @@ class LoadedLog:
 
 
 def load_logs(
-    robot: Robot, paths: Sequence[Path], given: Config, topic: str | None, progress: Progress
+    robot: Robot,
+    paths: Sequence[Path],
+    given: Config,
+    topic: str | None,
+    sensors: SensorOptions | None,
+    progress: Progress,
 ) -> list[LoadedLog]:
     """Read and inspect the logs.
 
@@ -68,6 +74,8 @@ def load_logs(
         How to read the logs. A joint in its ``joints`` without command is passive and may have zero torque.
     topic
         The topic to read.
+    sensors
+        How to read the topics of sensors; None: they are not read.
     progress
         Callback for the stage and its share that is done.
 
@@ -79,14 +87,20 @@ def load_logs(
     logs: list[LoadedLog] = []
     for path in paths:
         progress(f"inspecting {path.name}", len(logs) / len(paths))
-        logs.append(_inspect(_read(path, robot, given, topic), robot, given.joints or ()))
+        logs.append(_inspect(_read(path, robot, given, topic, sensors), robot, given.joints or ()))
     return logs
 
 
-def _read(path: Path, robot: Robot, given: Config, topic: str | None) -> JointLog:
+def _read(path: Path, robot: Robot, given: Config, topic: str | None, sensors: SensorOptions | None = None) -> JointLog:
     options = given.log
-    messages = message_options(options, robot.joints)
-    return read_log(path, topic=topic, columns=options.columns, scale=dict(options.scale), messages=messages)
+    return read_log(
+        path,
+        topic=topic,
+        columns=options.columns,
+        scale=dict(options.scale),
+        sensors=sensors,
+        messages=message_options(options, robot.joints),
+    )
 
 
 def _inspect(log: JointLog, robot: Robot, passive: Collection[str]) -> LoadedLog:
@@ -164,3 +178,28 @@ def find_topic(robot: Robot, paths: Sequence[Path], given: Config) -> tuple[str 
         return len(known), values, len(log)
 
     return max(shared, key=score), tuple(shared)
+
+
+def find_imu(
+    robot: Robot, paths: Sequence[Path], given: Config, topic: str | None
+) -> tuple[SensorOptions | None, tuple[str, ...]]:
+    """How to read the sensors, and the topics to choose the IMU from, the chosen one first.
+
+    There are none to choose from if no log has several, or if the messages of the joints, on ``topic`` or on the only
+    topic of joints, carry an IMU. The sensors are not read if there are several IMUs, none of them in all logs.
+    """
+    if given.base.imu.topic is not None:
+        return SensorOptions(given.base.imu.topic), ()
+    messages = message_options(given.log, robot.joints)
+    existing = [path for path in paths if path.exists()]
+    by_log = [imu_topics(path, messages) for path in existing]
+    if all(len(names) < 2 for names in by_log):
+        return SensorOptions(), ()
+    of_joints = {topic} if topic is not None else {name for path in existing for name in state_topics(path, messages)}
+    if all(of_joints & set(names) for names in by_log):
+        return SensorOptions(), ()
+    shared = [name for name in by_log[0] if all(name in names for names in by_log)]
+    if not shared:
+        return None, ()
+    shared.sort(key=len)
+    return SensorOptions(shared[0]), tuple(shared)

@@ -15,7 +15,7 @@ _FAR = 0.5  # of a joint's range: too far beyond its limits for a zero offset
 
 
 def log_notices(
-    robot: Robot, logs: Sequence[LoadedLog], joints: Sequence[str], locked: Sequence[str]
+    robot: Robot, logs: Sequence[LoadedLog], joints: Sequence[str], locked: Sequence[str], needs_torque: bool
 ) -> tuple[Notice, ...]:
     """Notices about the logs.
 
@@ -25,23 +25,27 @@ def log_notices(
         The robot and its logs.
     joints, locked
         Joints that are identified, and joints that are locked.
+    needs_torque
+        False if wrench sensors tell what the joints carry.
     """
     reading = [notice for log in logs for notice in log.inspection.reading]
     return (
         *reading,
-        *_problems(logs, joints),
+        *_problems(logs, joints, needs_torque),
         *_wrongly_locked(logs, joints, locked),
         *_constant_torque(logs, (*joints, *locked)),
         *_beyond_limits(robot, logs),
     )
 
 
-def _problems(logs: Sequence[LoadedLog], joints: Sequence[str]) -> Iterator[Notice]:
+def _problems(logs: Sequence[LoadedLog], joints: Sequence[str], needs_torque: bool) -> Iterator[Notice]:
     """Problems with the used joints that the inspections found, those of one kind together."""
     alike: dict[tuple[str, str, str], list[str]] = {}
     for log in logs:
         name = Path(log.inspection.path).name
         for finding in log.inspection.findings:
+            if finding.code == "missing_torque" and not needs_torque:
+                continue
             if finding.severity == "problem" and finding.subject in (None, *joints):
                 message = f"{finding.subject}: {finding.message}" if finding.subject else finding.message
                 alike.setdefault((name, finding.code, finding.advice), []).append(message)

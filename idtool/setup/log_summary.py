@@ -18,8 +18,10 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot, UrdfJoint
-from idtool.setup.loaded_logs import LoadedLog, find_topic, load_logs
+from idtool.setup.loaded_logs import LoadedLog, find_imu, find_topic, load_logs
 from idtool.setup.log_notices import log_notices
+from idtool.setup.logged_sensors import LoggedSensors
+from idtool.setup.wrench_sensors import wrench_sensor_joints
 
 _MIN_CUTOFF = 5.0  # Hz; below it, friction at reversals cannot be told from other effects
 # Torque computed from a command has kp times the noise of q, which at ω looks like an inertia of kp / ω².
@@ -52,10 +54,16 @@ class LogSummary:
         The other actuated joints of the URDF.
     without_torque
         Joints that move and have neither torque nor position command, each with the first log that lacks both.
+    with_torque
+        Joints of ``joints`` with a torque or a command in some log.
     commanded
         Joints of ``joints`` with a position command but no torque in some log.
     topic, topics
         The topic that is read, if there are several, and all topics.
+    imu_topics
+        The topics to choose the IMU from, the one that is read first; empty if there is one at most.
+    are_sensors_read
+        False if there are several IMUs, none of them in all logs.
     rates_hz
         Sampling rate of each log.
     motion_hz
@@ -74,9 +82,12 @@ class LogSummary:
     moving: tuple[str, ...]
     locked: dict[str, LockedJoint]
     without_torque: dict[str, str]
+    with_torque: tuple[str, ...]
     commanded: tuple[str, ...]
     topic: str | None
     topics: tuple[str, ...]
+    imu_topics: tuple[str, ...]
+    are_sensors_read: bool
     rates_hz: tuple[float, ...]
     motion_hz: float
     bands: float
@@ -102,11 +113,15 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
         If a log cannot be read, or no joint of the robot moves and has a torque or a command.
     """
     topic, topics = find_topic(robot, paths, given)
-    logs = load_logs(robot, paths, given, topic, progress)
-    reasons = _unidentifiable_reasons(robot, given, logs)
+    sensors, imu_topics = find_imu(robot, paths, given, topic)
+    logs = load_logs(robot, paths, given, topic, sensors, progress)
+    needs_torque = not _has_wrench_sensors(robot, given, logs)
+    reasons = _unidentifiable_reasons(robot, given, logs, needs_torque)
     identifiable = tuple(name for name, reason in reasons.items() if reason is None)
     joints = identifiable if given.joints is None else given.joints
-    without_torque = {name: lacking[0] for name in reasons if (lacking := _logs_without_torque(name, logs))}
+    without_torque: dict[str, str] = {}
+    if needs_torque:
+        without_torque = {name: lacking[0] for name in reasons if (lacking := _logs_without_torque(name, logs))}
     if not set(identifiable) & set(joints):
         raise LogError(paths[0], _no_joint_message(reasons, without_torque, logs))
     locked = {
@@ -117,6 +132,8 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
     moving = tuple(name for name in joints if _moves(name, logs))
     motion = float(np.median([_motion_band(log, moving) for log in logs]))
     commanded = tuple(name for name in joints if any(_is_commanded(name, log) for log in logs))
+    if given.controller is None and not needs_torque:
+        commanded = ()  # whose torque is not needed
     bands = _BAND_OF_COMMANDED if commanded else BAND_FACTOR
     return LogSummary(
         logs=tuple(log.log for log in logs),
@@ -125,18 +142,23 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
         moving=moving,
         locked=locked,
         without_torque=without_torque,
+        with_torque=tuple(name for name in joints if any({"tau", "qcmd"} & _signals(name, log) for log in logs)),
         commanded=commanded,
         topic=topic if topics else None,
         topics=topics,
+        imu_topics=imu_topics,
+        are_sensors_read=sensors is not None,
         rates_hz=tuple(log.inspection.rate_hz for log in logs),
         motion_hz=motion,
         bands=bands,
         cutoff_hz=_cutoff(bands * motion, min(default_cutoff(log.inspection.dt) for log in logs)),
-        notices=log_notices(robot, logs, joints, tuple(locked)),
+        notices=log_notices(robot, logs, joints, tuple(locked), needs_torque),
     )
 
 
-def _unidentifiable_reasons(robot: Robot, given: Config, logs: Sequence[LoadedLog]) -> dict[str, str | None]:
+def _unidentifiable_reasons(
+    robot: Robot, given: Config, logs: Sequence[LoadedLog], needs_torque: bool
+) -> dict[str, str | None]:
     """Reason why an actuated joint cannot be identified, by joint; None if it can."""
     logged = [name for name in logs[0].inspection.joints if all(name in log.inspection.joints for log in logs)]
     # raises for logs of another robot, or a missing joint
@@ -151,17 +173,24 @@ def _unidentifiable_reasons(robot: Robot, given: Config, logs: Sequence[LoadedLo
         elif joint.name in given_locked:
             reasons[joint.name] = "locked in the configuration"
         else:
-            reasons[joint.name] = _log_reason(joint.name, logs)
+            reasons[joint.name] = _log_reason(joint.name, logs, needs_torque)
     return reasons
 
 
-def _log_reason(joint: str, logs: Sequence[LoadedLog]) -> str | None:
+def _has_wrench_sensors(robot: Robot, given: Config, logs: Sequence[LoadedLog]) -> bool:
+    """True if sensors of force and moment, given or logged, tell what the joints carry, so that none needs a torque."""
+    if given.wrench_sensors:
+        return True
+    return bool(wrench_sensor_joints(robot, LoggedSensors.of_logs([log.log for log in logs]).wrenches))
+
+
+def _log_reason(joint: str, logs: Sequence[LoadedLog], needs_torque: bool) -> str | None:
     """Reason why a joint that is in every log cannot be identified; None if it can."""
     if not all("q" in log.signals(joint) for log in logs):
         return "has no position in some log"
     if not _moves(joint, logs):
         return "does not move"
-    lacking = _logs_without_torque(joint, logs)
+    lacking = _logs_without_torque(joint, logs) if needs_torque else []
     return f"has neither torque nor position command in {join_names(lacking)}" if lacking else None
 
 
@@ -178,6 +207,10 @@ def _logs_without_torque(joint: str, logs: Sequence[LoadedLog]) -> list[str]:
         if joint in log.inspection.joints and not {"tau", "qcmd"} & log.signals(joint):
             names.append(log.log.path.name)
     return names
+
+
+def _signals(joint: str, log: LoadedLog) -> set[str]:
+    return log.signals(joint) if joint in log.inspection.joints else set()
 
 
 def _is_commanded(joint: str, log: LoadedLog) -> bool:

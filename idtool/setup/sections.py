@@ -39,8 +39,10 @@ def locked_joints(draft: Draft) -> ConfigSection:
     return ConfigSection("locked_joints", (f"{what}.", *why), draft.locked)
 
 
-def gravity(draft: Draft) -> ConfigSection:
-    """The section ``gravity``: the default."""
+def gravity(draft: Draft) -> ConfigSection | None:
+    """The section ``gravity``: the default; None with a floating base, whose accelerometer measures it."""
+    if draft.has_floating_base:
+        return None
     what = f"Gravity in the frame of the URDF's root link {draft.robot.root}, m/s² (default: the z axis points up)."
     return ConfigSection("gravity", (what,), list(Config().gravity))
 

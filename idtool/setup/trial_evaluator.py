@@ -33,7 +33,7 @@ class TrialScore:
     Attributes
     ----------
     train, held_out
-        Mean squared torque error in the band, shape (nv,) [(N·m)² or N²]; NaN where a joint has no samples.
+        Mean squared torque error in the band, shape (joints,) [(N·m)² or N²]; NaN where a joint has no samples.
     values
         Coefficients by effect and joint or body.
     share
@@ -92,7 +92,7 @@ class TrialEvaluator:
             If the problem could not be solved.
         """
         model = self.experiment.model
-        equation = LinearModel(model.names, build_effects(model, config))
+        equation = LinearModel(model.names, build_effects(model, config), contacts=self.experiment.equation.contacts)
         train = self._part(self.train, equation)
         sets, _ = choose_sets(model.bodies, config.constraints)
         equalities = equality_constraints(config, model, equation)
@@ -109,12 +109,18 @@ class TrialEvaluator:
         named = [(c.effect, c.owner) for c in equation.coefficients]
         values = dict(zip(named, theta.tolist(), strict=True))
         share = dict(zip(named, _shares(equation, theta, train).tolist(), strict=True))
-        return TrialScore(_errors(equation, theta, train), _errors(equation, theta, held_out), values, share)
+        return TrialScore(self._errors(equation, theta, train), self._errors(equation, theta, held_out), values, share)
 
     def torque(self) -> Array:
-        """Mean square of the held-out torque in the band, shape (nv,) [(N·m)² or N²]; NaN where there is none."""
+        """Mean square of the held-out torque in the band, shape (joints,) [(N·m)² or N²]; NaN where there is none."""
         nothing = np.zeros(len(self.experiment.equation.coefficients))
-        return _errors(self.experiment.equation, nothing, self.held_out)
+        return self._errors(self.experiment.equation, nothing, self.held_out)
+
+    def _errors(self, equation: LinearModel, theta: Array, data: Reduction) -> Array:
+        """Mean squared error of the joints' rows, shape (joints,)."""
+        pairs = zip(data, equation.active(), strict=True)
+        errors = [f.squared_error(theta[active]) / f.rows if f.rows else np.nan for f, active in pairs]
+        return np.array(errors[: self.experiment.model.joint_count])
 
     def _part(self, whole: Reduction, equation: LinearModel) -> Reduction:
         """The columns of the reduction that another equation has."""
@@ -135,14 +141,9 @@ def _reduced(experiment: Experiment, parts: Callable[[Run], tuple[slice, ...]], 
         redundancy = run.signals.low_pass.redundancy
         stage = f"reading {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(parts(run)), parts(run), progress, stage):
-            rows = zip(*experiment.equation.filtered_rows(batch), strict=True)
-            total = merge(total, tuple(Factor.from_columns(x[:, kept], redundancy) for x, kept in rows))
+            rows = zip(*experiment.equation.counted_rows(batch), strict=True)
+            total = merge(total, tuple(Factor.from_shares(x, share.astype(float), redundancy) for x, share in rows))
     return total
-
-
-def _errors(equation: LinearModel, theta: Array, data: Reduction) -> Array:
-    pairs = zip(data, equation.active(), strict=True)
-    return np.array([f.squared_error(theta[active]) / f.rows if f.rows else np.nan for f, active in pairs])
 
 
 def _shares(equation: LinearModel, theta: Array, data: Reduction) -> Array:

@@ -13,13 +13,16 @@ from typing import Any, cast
 
 import numpy as np
 
+from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs import JointLog
+from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import JointTerm, effect_types
 from idtool.dynamics.effects.init_trial import InitSearch, InitTrial
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress, prepare
+from idtool.estimation.row_noise import with_row_noise
 from idtool.robot.config import Config, EffectEntry, Friction, parse_config
 from idtool.robot.urdf.reading import Robot
 from idtool.setup.records import Trial
@@ -119,6 +122,7 @@ class TrialRunner:
     def __init__(self, robot: Robot, data: Data, logs: Sequence[JointLog], progress: Progress) -> None:
         self.robot, self.data, self.logs, self.progress = robot, data, logs, progress
         self.joints: list[str] = list(data["joints"])
+        self._row_noise: Array | None = None
 
     def config(self, terms: TrialTerms) -> Config:
         """The configuration of a variant."""
@@ -145,7 +149,19 @@ class TrialRunner:
     def evaluator(self, config: Config) -> TrialEvaluator:
         """A variant's logs, reduced."""
         experiment, _, _ = with_delay(prepare(self.robot, config, self.logs, holdout=HOLDOUT), self.progress)
-        return TrialEvaluator(experiment, self.progress)
+        return TrialEvaluator(self._with_row_noise(experiment), self.progress)
+
+    def _with_row_noise(self, experiment: Experiment) -> Experiment:
+        """The experiment with the noise of its rows, which hardly depends on the variant: the first one tells it."""
+        contacts = experiment.equation.contacts
+        if contacts is None:
+            return experiment
+        if self._row_noise is None:
+            experiment, _ = with_row_noise(experiment, self.progress)
+            self._row_noise = cast(ContactModel, experiment.equation.contacts).noise
+            return experiment
+        equation = replace(experiment.equation, contacts=contacts.with_noise(self._row_noise))
+        return replace(experiment, equation=equation)
 
 
 def searched_entry(effect: str, value: float) -> EffectEntry:
@@ -188,7 +204,7 @@ def run_trials(runner: TrialRunner, on_joints: Sequence[tuple[str, str]], search
         values=values,
         trials=(*trials, *more),
         rms={"friction": _rms(runner.joints, base), "found": _rms(runner.joints, last)},
-        differentiated=_differentiated(evaluator.experiment),
+        differentiated=_differentiated(runner.joints, evaluator.experiment),
         notices=(*evaluator.experiment.notices, *_notices(runner.joints, evaluator, trials, base, last)),
     )
 
@@ -251,7 +267,7 @@ def _search_value(
             config = runner.config(terms.at(effect, value))
             evaluator = runner.evaluator(config)
             known[value] = evaluator, evaluator.score(config)
-        return float(np.mean(known[value][1].train / np.maximum(full.train, _TINY)))
+        return float(np.nanmean(known[value][1].train / np.maximum(full.train, _TINY)))
 
     dt = min(run.signals.log.dt for run in first.experiment.runs)
     best = _minimize(cost, search.step / first.experiment.band_hz, dt, search.maximum)
@@ -292,6 +308,6 @@ def _rms(joints: Sequence[str], verdict: TrialScore) -> dict[str, float]:
     return {**known, "overall": verdict.rms()}
 
 
-def _differentiated(experiment: Experiment) -> tuple[str, ...]:
+def _differentiated(joints: Sequence[str], experiment: Experiment) -> tuple[str, ...]:
     flags = np.any([run.signals.velocity_from_position for run in experiment.runs], axis=0)
-    return tuple(name for name, flag in zip(experiment.equation.joints, flags, strict=True) if flag)
+    return tuple(name for name, flag in zip(joints, flags, strict=True) if flag)

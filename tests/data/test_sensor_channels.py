@@ -20,6 +20,7 @@ from idtool.data.logs.log import Channel
 from idtool.data.logs.payloads import sensor_decoder_for
 from idtool.data.logs.payloads.base import PayloadError
 from idtool.data.logs.sensor_channels import SensorOptions, with_sensors
+from idtool.data.logs.state_topics import imu_topics
 from idtool.robot.body import Frame
 from idtool.robot.config import Config, parse_config
 
@@ -210,6 +211,7 @@ def test_imu_is_chosen_by_its_topic(recording: Recording, tmp_path: Path, imu: s
     with pytest.raises(LogError, match=message):
         read_log(path, sensors=SensorOptions(imu))
     assert "imu_wx" in read_log(path, sensors=SensorOptions("/torso/imu")).channels
+    assert imu_topics(path) == ("/imu", "/torso/imu")
 
 
 def test_message_that_is_cut_off_is_refused(tmp_path: Path) -> None:

@@ -90,6 +90,11 @@ class SensorTopics:
             if channel_id in self._by_channel:
                 self._decode(self._by_channel[channel_id], batch, np.flatnonzero(heads["channel"] == channel_id))
 
+    @property
+    def imus(self) -> tuple[str, ...]:
+        """The topics that carry an IMU, with messages."""
+        return tuple(name for name, topic in self._topics.items() if topic.times and _has_imu(topic))
+
     def channels(self, states_topic: str) -> dict[str, Channel]:
         """The channels by name.
 

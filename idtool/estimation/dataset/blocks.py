@@ -102,7 +102,7 @@ def cut_into_blocks(rows: Iterable[tuple[list[Array], Shares]], length: int, red
         while first < count:
             part = slice(first, min(first + length - filled, count))
             pairs = zip(columns, shares, strict=True)
-            new = tuple(_factor(x[:, part], share[part].astype(float), redundancy) for x, share in pairs)
+            new = tuple(Factor.from_shares(x[:, part], share[part].astype(float), redundancy) for x, share in pairs)
             block = new if block is None else merge(block, new)
             filled += part.stop - first
             first = part.stop
@@ -112,10 +112,3 @@ def cut_into_blocks(rows: Iterable[tuple[list[Array], Shares]], length: int, red
                 filled = 0
     if block is not None:
         yield block
-
-
-def _factor(columns: Array, shares: Array, redundancy: float) -> Factor:
-    """Factor of the samples that count, shape (m_j + 1, n), as many as the sum of their shares, shape (n,)."""
-    factor = Factor.from_columns(columns[:, shares > 0], redundancy)
-    rows = float(shares.sum())
-    return replace(factor, rows=rows, independent=rows / redundancy)

@@ -48,6 +48,13 @@ class Factor:
         """The factor of columns and torque, shape (m_j + 1, n); ``redundancy`` of their samples are worth one."""
         return cls(_triangle(block.T), block.shape[1], block.shape[1] / redundancy)
 
+    @classmethod
+    def from_shares(cls, block: Array, shares: Array, redundancy: float = 1.0) -> Factor:
+        """The factor of the samples that count, as many as the sum of their shares of a row, shape (n,)."""
+        factor = cls.from_columns(block[:, shares > 0], redundancy)
+        rows = float(shares.sum())
+        return cls(factor.R, rows, rows / redundancy)
+
     def squared_error(self, theta: Array) -> float:
         """Sum of squared residuals ‖Y_j theta − tau_j‖² for the joint's m_j coefficients [(N·m)²]."""
         return float(np.square(self.R @ np.append(theta, -1.0)).sum())

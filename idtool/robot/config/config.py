@@ -87,7 +87,7 @@ class Config(ConfigRecord):
         """Raise ConfigError if the base floats, which the command cannot handle."""
         if self.base.kind != "fixed":
             what = f"idtool {command} needs a fixed base"
-            supported = "a floating one is for fit, validate, inspect, diagnose, excite and export --to mujoco"
+            supported = "a floating one is for init, fit, validate, inspect, diagnose, excite and export --to mujoco"
             raise ConfigError("base.kind: floating", f"{what}; {supported}")
 
     def require_only_joints(self, command: str) -> None:
@@ -95,7 +95,7 @@ class Config(ConfigRecord):
         self.require_fixed_base(command)
         for key in ("contacts", "wrench_sensors"):
             if getattr(self, key):
-                what = "are for fit, validate, inspect, diagnose, excite and export; remove them"
+                what = "are for init, fit, validate, inspect, diagnose, excite and export; remove them"
                 raise ConfigError(key, f"{what} for idtool {command}")
 
     def without_friction_values(self) -> Config:

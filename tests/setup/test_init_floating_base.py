@@ -1,0 +1,161 @@
+"""`idtool init` on a quadruped in MuJoCo, whose configuration by hand is known, and on an arm with a wrench sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from ground.logs import Recording, config_text, record, write_csv, write_mcap
+from ground.robot import FEET, FOOT_RADIUS, IMU_TURN, JOINTS, Array, prior_quadruped, true_quadruped, urdf_text
+from sensor_arm import CHANNELS, SENSOR, write_log
+from sensor_arm import urdf_text as arm_text
+
+import idtool
+from idtool.common.safe_yaml import parse_yaml
+from idtool.robot.urdf.reading import read_robot
+from idtool.setup import InitialConfig, make_initial_config
+
+TRUTH = true_quadruped(0)
+BALL = f'<collision><geometry><sphere radius="{FOOT_RADIUS}"/></geometry></collision>'
+KINDS = ("stand", "hang")
+NO_TRIALS: Mapping[str, Any] = {"friction": {"viscous": True}, "effects": []}
+
+
+@pytest.fixture(scope="module")
+def recordings() -> dict[str, Recording]:
+    return {kind: record(TRUTH, kind, seconds=5.0, seed=0) for kind in KINDS}
+
+
+@pytest.fixture
+def urdf(tmp_path: Path) -> Path:
+    """The URDF of a user, whose masses are 10 to 30 % off, with balls as feet."""
+    text = urdf_text(prior_quadruped(TRUTH, 0))
+    for foot in FEET:
+        text = text.replace(f'<link name="{foot}"/>', f'<link name="{foot}">{BALL}</link>')
+    path = tmp_path / "quadruped.urdf"
+    path.write_text(text)
+    return path
+
+
+def logs_of(folder: Path, recordings: Mapping[str, Recording], *without: str) -> list[Path]:
+    """Logs without the channels that begin with some words."""
+    paths = []
+    for kind, recording in recordings.items():
+        columns = {name: x for name, x in recording.columns.items() if not name.startswith(without)}
+        paths.append(folder / f"{kind}.csv")
+        write_csv(paths[-1], Recording(columns))
+    return paths
+
+
+def first_config(urdf: Path, logs: list[Path], given: Mapping[str, Any]) -> InitialConfig:
+    return make_initial_config(read_robot(urdf), logs, given, None, lambda stage, share: None)
+
+
+def test_errors_are_those_of_the_configuration_by_hand(
+    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
+) -> None:
+    logs = logs_of(tmp_path, recordings)
+    result = idtool.init(urdf, logs)
+    by_hand = parse_yaml(Path("by_hand"), config_text(TRUTH, False).encode())
+    proposed = {contact["name"]: contact for contact in result.config["contacts"]}
+    assert proposed == {contact["name"]: contact for contact in by_hand["contacts"]}
+    assert not any(trial.kept for trial in result.trials if trial.effect in ("torque_offset", "time_delay"))
+
+    fits = {}
+    for name, config in (("init", result.config), ("hand", {**by_hand, "filter": result.config["filter"]})):
+        model = idtool.Model(urdf, config=config)
+        fits[name] = idtool.fit(model, logs, quick=True)
+    errors = {name: fit.rms.validation for name, fit in fits.items()}
+    assert errors["init"]["overall"] < 1.2 * errors["hand"]["overall"]
+    ratios = {joint: errors["init"][joint] / errors["hand"][joint] for joint in JOINTS}
+    assert max(ratios.values()) < 1.6, ratios
+    robot = fits["init"].whole_robot
+    assert robot is not None
+    assert robot.mass == pytest.approx(TRUTH.mass, rel=5e-3)
+
+
+def test_what_holds_the_robot_without_a_flag_is_found(
+    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
+) -> None:
+    logs = logs_of(tmp_path, recordings, "contact_", "force_")
+    contacts = first_config(urdf, logs, NO_TRIALS).data["contacts"]
+    assert [contact.get("flag") for contact in contacts] == [*["auto"] * len(FEET), None]
+    assert contacts[-1] == {"name": "support", "link": "trunk", "kind": "surface"}
+    assert len(first_config(urdf, logs[:1], NO_TRIALS).data["contacts"]) == len(FEET)
+
+
+def test_of_several_imus_the_one_in_all_logs_is_read(
+    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
+) -> None:
+    logs = [tmp_path / f"{kind}.mcap" for kind in KINDS]
+    write_mcap(logs[0], recordings["stand"], imu_topics=("/cam", "/body/imu"))
+    write_mcap(logs[1], recordings["hang"], imu_topics=("/body/imu",))
+    first = first_config(urdf, logs, NO_TRIALS)
+    assert first.data["base"]["imu"] == {"link": "imu_link", "topic": "/body/imu", "delay": "auto"}
+    write_mcap(logs[1], recordings["hang"], imu_topics=("/head/imu",))
+    with_none = first_config(urdf, logs, NO_TRIALS)
+    assert "base" not in with_none.data
+    assert "base.imu.topic" in [item.key for item in with_none.todo]
+
+
+@pytest.mark.parametrize("frame", ["world", "link"])
+def test_axes_of_measured_forces_are_found(
+    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording], frame: str
+) -> None:
+    standing = recordings["stand"]
+    if frame == "link":
+        standing = Recording({**standing.columns, **_forces_along_links(urdf, standing)})
+    logs = logs_of(tmp_path, {"stand": standing}, "contact_")
+    result = first_config(urdf, logs, NO_TRIALS)
+    assert [contact["frame"] for contact in result.data["contacts"]] == len(FEET) * [frame]
+    assert "contacts.frame" not in [item.key for item in result.todo]
+
+
+def test_forces_are_along_the_links_if_no_orientation_was_logged(
+    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
+) -> None:
+    logs = logs_of(tmp_path, {"stand": recordings["stand"]}, "contact_", "imu_q")
+    result = first_config(urdf, logs, NO_TRIALS)
+    assert {contact["frame"] for contact in result.data["contacts"]} == {"link"}
+    assert "contacts.frame" in [item.key for item in result.todo]
+    assert result.rms is not None  # so that the fit can read it
+
+
+def _forces_along_links(urdf: Path, recording: Recording) -> dict[str, Array]:
+    """The forces on the feet along the axes of the feet, by Pinocchio."""
+    model = pin.buildModelFromUrdf(str(urdf), pin.JointModelFreeFlyer())
+    data = model.createData()
+    columns = recording.columns
+    imu_to_base = pin.rpy.rpyToMatrix(0, 0, IMU_TURN)
+    forces = {foot: np.stack([columns[f"force_{foot}_{axis}"] for axis in "xyz"], axis=1) for foot in FEET}
+    for k in range(len(columns["t"])):
+        quaternion = pin.Quaternion(np.array([columns[f"imu_q{part}"][k] for part in "xyzw"]))
+        q = pin.neutral(model)
+        q[3:7] = pin.Quaternion(quaternion.matrix() @ imu_to_base.T).coeffs()
+        for joint in JOINTS:
+            q[model.joints[model.getJointId(joint)].idx_q] = columns[f"q_{joint}"][k]
+        pin.framesForwardKinematics(model, data, q)
+        for foot, force in forces.items():
+            force[k] = data.oMf[model.getFrameId(foot)].rotation.T @ force[k]
+    return {f"force_{foot}_{axis}": forces[foot][:, i] for foot in FEET for i, axis in enumerate("xyz")}
+
+
+@pytest.mark.parametrize(("sign", "with_torque"), [(1, True), (-1, True), (-1, False)])
+def test_sign_of_a_wrench_sensor_is_found(tmp_path: Path, sign: int, with_torque: bool) -> None:
+    urdf, log = tmp_path / "arm.urdf", tmp_path / "run.csv"
+    urdf.write_text(arm_text())
+    write_log(log, 6.0, np.array([3.0, -2.0, 5.0, 0.1, 0.2, -0.1]), with_torque)
+    header, table = log.read_text().splitlines()[0].split(","), np.loadtxt(log, delimiter=",", skiprows=1)
+    table[:, [header.index(channel) for channel in CHANNELS]] *= sign
+    np.savetxt(log, table, fmt="%.9g", delimiter=",", header=",".join(header), comments="")
+    result = idtool.init(urdf, log)
+    assert result.config["wrench_sensors"] == [{"joint": SENSOR, "sign": sign, "offset": "fit"}]
+    assert not [notice for notice in result.notices if notice.severity == "problem"]
+    fit = idtool.fit(idtool.Model(urdf, config=result.config), log, quick=True)
+    rows = [name for name in fit.rms.train if name.startswith(SENSOR)]
+    assert len(rows) == len(CHANNELS)
+    assert max(fit.rms.train[name] for name in rows) < 0.05  # N, N m; the arm weighs 3.4 kg
