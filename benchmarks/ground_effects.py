@@ -32,6 +32,7 @@ _JOINT = "FL_calf_joint"
 _PAYLOAD_MASS = 2.5  # kg
 _PAYLOAD_COM = np.array([-0.08, 0.02, 0.09])  # m
 _DELAY = 0.006  # s
+_FOOT_RADIUS_CHANGE = 0.01  # m
 _MAX_FALLS = 5
 
 
@@ -68,6 +69,12 @@ def _without_rotor(config: dict[str, Any]) -> None:
     config["effects"] = [{"effect": "payload", "link": mount.parent, "parameters": parameters}]
 
 
+def _with_small_feet(config: dict[str, Any]) -> None:
+    for contact in config["contacts"]:
+        if "radius" in contact:
+            contact["radius"] -= _FOOT_RADIUS_CHANGE
+
+
 def cases() -> dict[str, Case]:
     """All hidden effects, by name."""
     payload = Body.ellipsoid(_PAYLOAD_MASS, _PAYLOAD_COM, np.array([0.1, 0.07, 0.05]))
@@ -77,6 +84,7 @@ def cases() -> dict[str, Case]:
         "coulomb": Case("coulomb_friction", _JOINT, change=_without_coulomb),
         "torque_delay": Case("time_delay", None, sensors=Sensors(torque_delay=_DELAY)),
         "imu_delay": Case("imu_delay", None, sensors=Sensors(imu_delay=_DELAY)),
+        "foot_radius": Case("foot_radius", None, change=_with_small_feet),
         "rotor": Case("rotor_inertia", _JOINT, change=_without_rotor),
     }
 

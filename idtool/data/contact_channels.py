@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,16 +27,22 @@ class ContactSamples:
     wrenches
         Measured force and moment on the link by what it touches, along the axes of the contact's ``frame``, shape
         (contacts, 6, N) [N, N·m]; 0 if they were not measured.
+    radius_change
+        By how much the balls are larger than configured [m].
     """
 
     world_to_base: Array
     is_closed: Mask
     wrenches: Array
+    radius_change: float = 0.0
 
     def every(self, stride: int) -> ContactSamples:
         """One of every ``stride`` samples."""
-        return ContactSamples(
-            self.world_to_base[..., ::stride], self.is_closed[:, ::stride], self.wrenches[..., ::stride]
+        return replace(
+            self,
+            world_to_base=self.world_to_base[..., ::stride],
+            is_closed=self.is_closed[:, ::stride],
+            wrenches=self.wrenches[..., ::stride],
         )
 
 

@@ -63,4 +63,5 @@ def summarize_data(
         band_hz=experiment.band_hz,
         bursts=bursts,
         fixed_inertia=fixed_inertia,
+        has_balls=experiment.model.has_floating_base and any(contact.radius for contact in experiment.config.contacts),
     )

@@ -216,7 +216,7 @@ class ContactModel:
         point = (link_frame.p + link_frame.R @ in_link)[:, None]
         if contact.radius:  # a ball touches level ground a radius below its centre
             up = rotate(self._base_to_body(motions, link_frame.body), self._up_in_base(contact_samples))
-            point = point - contact.radius * up
+            point = point - (contact.radius + contact_samples.radius_change) * up
         by_rotation = cross(body_jacobian.S_w, point[:, None])
         J_linear = body_jacobian.S_v + by_rotation
         coordinates, count = body_jacobian.S_w.shape[1], contact_samples.is_closed.shape[1]

@@ -187,6 +187,15 @@ class LinearizedModel:
         difference = self._rigid_body_torque(samples, changed) - self._torque_at_some_samples
         return self._at_all_samples(difference)
 
+    def torque_change_by_ball_radius(self) -> Array:
+        """Change of the torque per change of the radius of all balls [m], shape (nv, N); it is linear in the radius."""
+        samples = self._some_samples
+        if samples.contacts is None:
+            return np.zeros_like(self.true_motion.q)
+        larger = replace(samples.contacts, radius_change=samples.contacts.radius_change + 1.0)
+        of_larger = self._contact_torque(replace(samples, contacts=larger))
+        return -self._at_all_samples(of_larger - self._contact_torque_at_some_samples)
+
     @cached_property
     def _torque_left_for_bodies(self) -> Array:
         """Measured torque less that of all effects but the rigid bodies, shape (nv, N)."""

@@ -271,6 +271,8 @@ class LinearModel:
         if kept is None or not kept.are_along(true.q, true.v, true.a):
             return ProjectedRows(batch, self.contacts, evaluate())
         digest = blake2b()
+        if true.contacts is not None:
+            digest.update(np.float64(true.contacts.radius_change).tobytes())
         for joint, mask in sorted(excluded.items()):
             digest.update(joint.to_bytes(4, "little"))
             digest.update(np.packbits(mask).tobytes())

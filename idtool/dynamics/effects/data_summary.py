@@ -66,6 +66,8 @@ class DataSummary:
         Time intervals in which the residual is unusually large, by what may act in them.
     fixed_inertia
         True if the URDF's inertia is taken as true.
+    has_balls
+        True if contacts of a floating base are balls.
     """
 
     model: RobotModel
@@ -80,6 +82,7 @@ class DataSummary:
     band_hz: float
     bursts: tuple[Burst, ...] = ()
     fixed_inertia: bool = False
+    has_balls: bool = False
 
     @property
     def q_range(self) -> Array:

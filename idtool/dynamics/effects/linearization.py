@@ -46,6 +46,9 @@ class Linearization(Protocol):
     def torque_change_by_gravity(self, change: Array) -> Array:
         """Change of the torque with a change of gravity [m/s²], shape (3,); shape (nv, N) [N·m or N]."""
 
+    def torque_change_by_ball_radius(self) -> Array:
+        """Change of the torque per change of the radius of all balls of the contacts [m], shape (nv, N)."""
+
     def link_load(self, motion: Motion, joint: int) -> tuple[Array, Array]:
         """Torque and inertia of what a joint's link carries, without the rotors; shape (N,) each."""
 
