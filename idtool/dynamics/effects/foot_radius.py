@@ -41,7 +41,7 @@ class FootRadius(FixedEffect):
     whole_robot_owner = "the feet"
     is_screened_to_first_order = True
     description = "the feet are larger than the `radius` of their contacts (smaller if the change is negative)"
-    excitation_hint = "steps and swaying with level forces on the feet"
+    excitation_hint = "swaying and steps"
     cause = "time"
 
     def __init__(self, model: RobotModel, change: float) -> None:
