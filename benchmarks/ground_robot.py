@@ -133,9 +133,10 @@ def true_model(folder: Path, truth: Robot, config: Config, noise: Mapping[str, f
 
 
 def whitened_error(model: idtool.Model, log: Path, noise: Mapping[str, float]) -> float:
-    """RMS error of all rows in units of their noise."""
+    """RMS error, in units of their noise, of all rows of which contacts leave something."""
     rms = idtool.validate(model, log, simulation=False).rms.model
-    return float(np.sqrt(np.mean([(rms[name] / sigma) ** 2 for name, sigma in noise.items()])))
+    in_noise = [error / noise[name] for name, error in rms.items() if name in noise and error is not None]
+    return float(np.sqrt(np.mean(np.square(in_noise))))
 
 
 def base_wrench_error(fitted: Path, true_urdf: Path, measured: Config, log: Path) -> tuple[float, float]:

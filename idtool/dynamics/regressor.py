@@ -298,11 +298,11 @@ class LinearModel:
         return excluded
 
     def delayed_torques(self, motion: Motion) -> Array:
-        """The last rows of `columns` with each of the motion's ``torques``, shape (K, nv, N)."""
+        """The last rows of `filtered_columns`, unfiltered, with each of the motion's ``torques``, shape (K, nv, N)."""
         out = np.empty_like(motion.delayed_torques)
         for k, tau in enumerate(motion.delayed_torques):
             true = self.true_motion(replace(motion, tau=tau))
-            out[k] = self._identified_torque(true)
+            out[k] = self._torque_of_unknowns(true)
         return out
 
     def true_motion(self, motion: Motion) -> Motion:

@@ -286,8 +286,8 @@ def test_noise_of_the_accelerations_does_not_bend_the_predicted_torque(tmp_path:
     for batch in experiment.batches(run, held_out=False):
         noisy_a = batch.motion.a + 20 * rng.standard_normal(batch.motion.a.shape)
         noisy = replace(batch, motion=replace(batch.motion, a=noisy_a, kept_columns=None))
-        _, predicted = experiment.equation.compared_torques(batch, theta)
-        _, predicted_of_noisy = experiment.equation.compared_torques(noisy, theta)
+        _, predicted, _ = experiment.equation.compared_torques(batch, theta)
+        _, predicted_of_noisy, _ = experiment.equation.compared_torques(noisy, theta)
         is_bent = np.abs(predicted[0]) > level
         shifts.append((np.abs(predicted_of_noisy[0]) - np.abs(predicted[0]))[is_bent])
     shift = np.concatenate(shifts)

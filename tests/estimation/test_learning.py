@@ -116,7 +116,12 @@ def stream(sizes: list[int], runs: int = 1) -> Experiment:
 
     equation = SimpleNamespace(joints=("hip",), active=lambda: (np.arange(1),), filtered_rows=rows, contacts=None)
     logs = tuple(run(k * len(sizes)) for k in range(runs))
-    return Experiment(*cast("Any", (SimpleNamespace(effects=()), None, equation, None, logs)))
+    return Experiment(
+        *cast(
+            "Any",
+            (SimpleNamespace(effects=(), contacts=()), SimpleNamespace(has_floating_base=False), equation, None, logs),
+        )
+    )
 
 
 def test_the_pool_is_bounded_and_holds_every_sample_alike(monkeypatch: pytest.MonkeyPatch) -> None:

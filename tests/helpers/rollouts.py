@@ -19,7 +19,7 @@ def experiment_of(units: Mapping[str, str], dt: float = 0.005) -> Any:
     """What `simulation_report` asks of an experiment: the joints, the units of their torque, and one log's rate."""
     return SimpleNamespace(
         equation=SimpleNamespace(joints=tuple(units)),
-        model=SimpleNamespace(units=dict(units)),
+        model=SimpleNamespace(units=dict(units), joint_names=tuple(units)),
         runs=(SimpleNamespace(signals=SimpleNamespace(log=SimpleNamespace(dt=dt))),),
     )
 

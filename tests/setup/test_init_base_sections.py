@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground.robot import JOINTS, true_quadruped, urdf_text
+from ground.quadruped import JOINTS, true_quadruped
+from ground.robot import urdf_text
 from sensor_arm import CHANNELS, SENSOR
 from sensor_arm import JOINTS as ARM_JOINTS
 from sensor_arm import urdf_text as arm_text

@@ -10,7 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from ground.logs import Recording, config_text, record, write_csv, write_mcap
-from ground.robot import FEET, FOOT_RADIUS, IMU_TURN, JOINTS, Array, prior_quadruped, true_quadruped, urdf_text
+from ground.quadruped import FEET, FOOT_RADIUS, JOINTS, true_quadruped
+from ground.robot import Array, prior_robot, urdf_text
 from sensor_arm import CHANNELS, SENSOR, write_log
 from sensor_arm import urdf_text as arm_text
 
@@ -33,7 +34,7 @@ def recordings() -> dict[str, Recording]:
 @pytest.fixture
 def urdf(tmp_path: Path) -> Path:
     """The URDF of a user, whose masses are 10 to 30 % off, with balls as feet."""
-    text = urdf_text(prior_quadruped(TRUTH, 0))
+    text = urdf_text(prior_robot(TRUTH, 0))
     for foot in FEET:
         text = text.replace(f'<link name="{foot}"/>', f'<link name="{foot}">{BALL}</link>')
     path = tmp_path / "quadruped.urdf"
@@ -60,7 +61,7 @@ def test_errors_are_those_of_the_configuration_by_hand(
 ) -> None:
     logs = logs_of(tmp_path, recordings)
     result = idtool.init(urdf, logs)
-    by_hand = parse_yaml(Path("by_hand"), config_text(TRUTH, False).encode())
+    by_hand = parse_yaml(Path("by_hand"), config_text(TRUTH).encode())
     proposed = {contact["name"]: contact for contact in result.config["contacts"]}
     assert proposed == {contact["name"]: contact for contact in by_hand["contacts"]}
     assert not any(trial.kept for trial in result.trials if trial.effect in ("torque_offset", "time_delay"))
@@ -130,7 +131,7 @@ def _forces_along_links(urdf: Path, recording: Recording) -> dict[str, Array]:
     model = pin.buildModelFromUrdf(str(urdf), pin.JointModelFreeFlyer())
     data = model.createData()
     columns = recording.columns
-    imu_to_base = pin.rpy.rpyToMatrix(0, 0, IMU_TURN)
+    imu_to_base = pin.rpy.rpyToMatrix(0, 0, TRUTH.imu.turn)
     forces = {foot: np.stack([columns[f"force_{foot}_{axis}"] for axis in "xyz"], axis=1) for foot in FEET}
     for k in range(len(columns["t"])):
         quaternion = pin.Quaternion(np.array([columns[f"imu_q{part}"][k] for part in "xyzw"]))
