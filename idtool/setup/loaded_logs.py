@@ -13,6 +13,8 @@ import numpy as np
 
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
+from idtool.common.notice import Notice
+from idtool.data.base_sensors import sensor_options
 from idtool.data.inspection import Inspection, inspect_log
 from idtool.data.inspection.records import InspectedJoint
 from idtool.data.logs import JointLog, read_log
@@ -87,8 +89,24 @@ def load_logs(
     logs: list[LoadedLog] = []
     for path in paths:
         progress(f"inspecting {path.name}", len(logs) / len(paths))
-        logs.append(_inspect(_read(path, robot, given, topic, sensors), robot, given.joints or ()))
+        log = _read_with_sensors(path, robot, given, topic, sensors)
+        logs.append(_inspect(log, robot, given.joints or ()))
     return logs
+
+
+def _read_with_sensors(
+    path: Path, robot: Robot, given: Config, topic: str | None, sensors: SensorOptions | None
+) -> JointLog:
+    """A log with its sensors; without them, and with a notice, if they cannot be read and are not asked for."""
+    try:
+        return _read(path, robot, given, topic, sensors)
+    except LogError as error:
+        if sensors is None or sensor_options(given) is not None:
+            raise
+        log = _read(path, robot, given, topic)
+        message = f"the sensors beside the joints cannot be read: {error.what}"
+        notice = Notice("sensors_not_read", "warning", None, message, "repair or remove their topic if they matter")
+        return replace(log, notices=(*log.notices, notice))
 
 
 def _read(path: Path, robot: Robot, given: Config, topic: str | None, sensors: SensorOptions | None = None) -> JointLog:
@@ -192,7 +210,10 @@ def find_imu(
         return SensorOptions(given.base.imu.topic), ()
     messages = message_options(given.log, robot.joints)
     existing = [path for path in paths if path.exists()]
-    by_log = [imu_topics(path, messages) for path in existing]
+    try:
+        by_log = [imu_topics(path, messages) for path in existing]
+    except LogError:
+        return SensorOptions(), ()  # `load_logs` says why they cannot be read
     if all(len(names) < 2 for names in by_log):
         return SensorOptions(), ()
     of_joints = {topic} if topic is not None else {name for path in existing for name in state_topics(path, messages)}
