@@ -93,11 +93,11 @@ def test_of_several_imus_the_one_in_all_logs_is_read(
     tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
 ) -> None:
     logs = [tmp_path / f"{kind}.mcap" for kind in KINDS]
-    write_mcap(logs[0], recordings["stand"], imu_topics=("/cam", "/body/imu"))
-    write_mcap(logs[1], recordings["hang"], imu_topics=("/body/imu",))
+    write_mcap(logs[0], TRUTH, recordings["stand"], imu_topics=("/cam", "/body/imu"))
+    write_mcap(logs[1], TRUTH, recordings["hang"], imu_topics=("/body/imu",))
     first = first_config(urdf, logs, NO_TRIALS)
     assert first.data["base"]["imu"] == {"link": "imu_link", "topic": "/body/imu", "delay": "auto"}
-    write_mcap(logs[1], recordings["hang"], imu_topics=("/head/imu",))
+    write_mcap(logs[1], TRUTH, recordings["hang"], imu_topics=("/head/imu",))
     with_none = first_config(urdf, logs, NO_TRIALS)
     assert "base" not in with_none.data
     assert "base.imu.topic" in [item.key for item in with_none.todo]
