@@ -27,6 +27,7 @@ from idtool.estimation.problem.regularization_path import (
     WEIGHTS,
     RegularizationPath,
     _largest_accepted,
+    _standard_error,
     regularization_path,
 )
 from idtool.robot.config import WEAK_PRIOR, Config, Regularization, parse_config
@@ -281,3 +282,14 @@ def test_masses_that_are_known_take_the_priors_inertia_along(leg: Any) -> None:
     result = idtool.fit(heavy, TRAIN, quick=True)
     assert result.bodies["thigh_link"].mass == pytest.approx(2 * leg.bodies["thigh_link"].mass, rel=1e-9)
     assert result.rms.validation["overall"] < 1.1 * leg.rms.validation["overall"]
+
+
+def test_that_one_log_has_larger_errors_than_another_is_no_scatter() -> None:
+    rng = np.random.default_rng(5)
+    means = rng.normal(1.0, 0.1, 40)
+    rows = rng.uniform(0.5, 1.5, 40)
+    apart = means + np.repeat([0.0, 3.0], 20)
+    own = _standard_error(means, rows, [20, 20])
+    assert _standard_error(apart, rows, [20, 20]) == pytest.approx(own)
+    assert own == pytest.approx(0.1 / np.sqrt(40), rel=0.5)
+    assert _standard_error(apart, rows, [40]) > 5 * own
