@@ -20,7 +20,7 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import EffectEntry
 from idtool.robot.model import RobotModel
 
-_MIN_CHANGE = 2.5e-3  # m; a soft foot gives way by a millimetre or two
+_MIN_CHANGE = 1.5e-3  # m; a soft foot gives way by a millimetre
 _MAX_CHANGE = 0.1  # m
 
 
