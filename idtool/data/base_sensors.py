@@ -38,15 +38,20 @@ def sensor_options(config: Config) -> SensorOptions | None:
 
 def needed_channels(config: Config) -> tuple[str, ...]:
     """Channels of a log that a configuration needs beside those of the joints."""
-    return tuple(channel for _, channels in channels_by_sensor(config) for channel in channels)
+    needed: list[str] = []
+    for _, channels in channels_by_sensor(config):
+        needed += channels
+    return tuple(needed)
 
 
 def channels_by_sensor(config: Config) -> list[tuple[str, tuple[str, ...]]]:
-    """The same channels by what they belong to: joint of a wrench sensor, ``imu``, name of a contact."""
+    """Pairs of a sensor and its `needed_channels`: the joint of a wrench sensor, ``imu``, or the name of a contact."""
     sensors = [(sensor.joint, sensor.logged_channels) for sensor in config.wrench_sensors]
     if config.base.kind == "floating":
-        needs_orientation = any(contact.needs_orientation for contact in config.contacts)
-        sensors.append(("imu", (*GYROSCOPE, *ACCELEROMETER, *(ORIENTATION if needs_orientation else ()))))
+        of_imu: tuple[str, ...] = (*GYROSCOPE, *ACCELEROMETER)
+        if any(contact.needs_orientation for contact in config.contacts):
+            of_imu += ORIENTATION
+        sensors.append(("imu", of_imu))
     return sensors + [(contact.name, contact.logged_channels) for contact in config.contacts]
 
 

@@ -274,7 +274,7 @@ class _Proposer:
         return {"kind": "point", "radius": touch.radius, **place}
 
     def _contact_comments(self, entries: Sequence[dict[str, Any]], logged: dict[str, str]) -> list[str]:
-        """What the values mean, and what is not known."""
+        """Comments on the meaning of the values, and on what is not known."""
         comments = []
         points = [entry for entry in entries if entry["kind"] == "point"]
         if any("radius" in entry for entry in points):

@@ -20,7 +20,7 @@ _DIGITS = 5  # of a length in m
 
 @dataclass(frozen=True)
 class Touch:
-    """Where and how a link touches the ground.
+    """Contact of a link with the ground: a surface, a ball or a point.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ def _rank(robot: Robot, link: str) -> tuple[bool, int, int]:
 
 
 def touch_of(robot: Robot, model: RobotModel, link: str) -> Touch:
-    """Where and how a link touches the ground, by its geometry, or by the number of joints of the leg."""
+    """Contact of a link with the ground, by its geometry, or by the number of joints of the leg."""
     if model.bodies[model.frames[link].body].is_base:
         return Touch(is_surface=True)  # whatever holds the base exerts any force and moment
     sphere = link_sphere(robot, link)

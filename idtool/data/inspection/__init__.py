@@ -1,9 +1,10 @@
 """The contents of a log and its faults: the one place for all data faults that a log shows by itself.
 
-`inspect_log` looks at a log without a model; a configuration only names the sensors that it must have. Ranges, counts,
-jumps and frozen stretches come from every sample, block by block; shares and statistics of a long log from stretches
-spread over it, 2¹⁷ samples in all. `clock`, `joint`, `measures`, `torque`, `velocity` and `frozen` make the figures,
-`findings` judges them.
+`inspect_log` looks at a log without a model; a configuration only names the sensors that it must have.
+
+Ranges, counts, jumps and frozen stretches come from every sample, block by block. Shares and statistics of a long log
+come from stretches spread over it, 2¹⁷ samples in all. `clock`, `joint`, `measures`, `torque`, `velocity` and `frozen`
+make the figures, `findings` judges them.
 
 Letters: t stamps [s], q position [rad or m], v velocity [rad/s or m/s], tau torque or force [N·m or N], dt nominal
 sample time [s], N samples, nj joints.

@@ -1,4 +1,4 @@
-"""Faults of an IMU that show in its own channels: a dead sensor, unit, gravity removed, orientation of another kind.
+"""Faults of an IMU that show in its own channels: dead sensor, other unit, gravity removed, other orientation.
 
 At rest and on average over a motion, an accelerometer shows gravity upward: 9.81 m/s² along the vertical that the
 orientation tells.
@@ -72,9 +72,10 @@ def imu_findings(log: JointLog) -> Iterator[Notice]:
 
 
 def dead_imu_sensors(log: JointLog) -> str:
-    """Names of the IMU's sensors that read the same all the time, of which a log has all channels; empty: none do."""
+    """Names of the IMU's sensors that read the same all the time, joined as text; empty: none do."""
     sensors = {"accelerometer": ACCELEROMETER, "gyroscope": GYROSCOPE}
-    return " and the ".join(name for name, channels in sensors.items() if is_dead(log, channels))
+    dead = [name for name, channels in sensors.items() if is_dead(log, channels)]
+    return " and the ".join(dead)
 
 
 def _orientation_findings(quaternions: Array, mean: Array) -> Iterator[Notice]:

@@ -98,7 +98,8 @@ def read(
             notices.append(Notice("commands_left_out", "warning", None, message, advice))
     preset = topics.preset(states_topic)
     if preset is not None and messages.preset is None:
-        message = f"the messages of topic {printable(states_topic)} do not name their joints; read by preset {preset}"
+        unnamed = f"the messages of topic {printable(states_topic)} do not name their joints"
+        message = f"{unnamed}; read by preset {preset}"
         advice = "if this is another robot, set log.preset or log.field_joints"
         notices.append(Notice("preset_assumed", "note", None, message, advice))
     if topics.are_fields_missing(states_topic):

@@ -51,7 +51,7 @@ DEFAULT_MESSAGES = MessageOptions()
 
 @dataclass(frozen=True)
 class FieldSource:
-    """How the messages of a channel are decoded by their fields.
+    """Decoders of a channel's messages by their fields, and the preset that names their joints.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ def message_options(options: LogOptions, robot_joints: Collection[str] = ()) -> 
 
 
 def find_field_source(encoding: str, schema: Schema | None, options: MessageOptions) -> FieldSource | None:
-    """How to read the fields of a channel's messages; None if nothing is known of messages of their type.
+    """Source of the fields in a channel's messages; None if nothing is known of messages of their type.
 
     Raises
     ------
@@ -113,11 +113,10 @@ def _recognized_preset(type_name: str, robot_joints: Collection[str]) -> str:
         if not robot_joints or set(_joint_names(name)) <= set(robot_joints):
             return name
     first = next(_joint_names(candidates[0]))
-    raise FieldError(
-        f"{printable(type_name)} has no names of the joints, and the URDF's are not those of {join_names(candidates)} "
-        f"(such as {first}); set log.preset, or list them in log.field_joints in the order of the message",
-        closeness=1.0,
-    )
+    what = f"{printable(type_name)} has no names of the joints"
+    why = f"the URDF's are not those of {join_names(candidates)} (such as {first})"
+    advice = "set log.preset, or list them in log.field_joints in the order of the message"
+    raise FieldError(f"{what}, and {why}; {advice}", closeness=1.0)
 
 
 def _joint_names(preset: str) -> Iterator[str]:

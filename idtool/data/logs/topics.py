@@ -44,7 +44,7 @@ class _Topic:
 
 @dataclass(frozen=True)
 class _StateDecoder:
-    """How the joint states in messages of a schema are decoded, if they are; and the attributes of their topic."""
+    """Decoder of the joint states in messages of a schema, if they carry any, and attributes of their topic."""
 
     decode: Decoder | None
     is_fallback: bool = False

@@ -1,8 +1,8 @@
 """Decoders of message payloads. A new encoding is one new file in this folder.
 
-A member defines `ENCODING`, the message encoding that it reads; `decoder`, which returns the decoder of a channel's
-messages if its schema is that of joint states; `text`, the same for messages that are a single text; `sensor`, the same
-for those of `sensor_types`; and `fields`, which returns the decoders of addressed fields of any messages.
+A member defines `ENCODING`, the message encoding that it reads, and functions that return decoders of a channel's
+messages: `decoder` for joint states, `text` for messages that are a single text, `sensor` for those of `sensor_types`,
+and `fields` for addressed fields of any messages.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ class FieldError(ValueError):
 
 @dataclass(frozen=True)
 class MessageFields:
-    """What to read from messages that are not joint states.
+    """Fields to read from messages that are not joint states, and the joints in the order of their index.
 
     Attributes
     ----------

@@ -75,7 +75,7 @@ def field_decoders(schema: Schema, fields: MessageFields) -> FieldDecoders:
 
 @dataclass
 class _Target:
-    """Where addressed fields are within a type: the labels of those that end here, and those further within."""
+    """Node of the tree of addressed fields: the labels of those that end here, and the nodes within it, by step."""
 
     labels: list[str] = field(default_factory=list)
     within: dict[Step, _Target] = field(default_factory=dict)
@@ -95,7 +95,7 @@ class _MessageType:
     types: Mapping[str, Fields]
 
     def kind_at(self, path: Path) -> Kind:
-        """What is at a path; FieldError if there is no such field."""
+        """Kind of the field at a path; FieldError if there is no such field."""
         kind = Kind(self.name)
         written = ""
         for step in path:
@@ -276,7 +276,7 @@ class _Reader:
 
 
 def _within(targets: Sequence[_Target], step: Step) -> list[_Target]:
-    """What is addressed within the field or element at a step."""
+    """Nodes within some nodes, at the field or element of a step."""
     inner = [target.within[step] for target in targets if step in target.within]
     if isinstance(step, int):
         inner += [target.within[EACH] for target in targets if EACH in target.within]

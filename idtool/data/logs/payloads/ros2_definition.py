@@ -41,7 +41,7 @@ _FIELD = re.compile(r"([A-Za-z][\w/]*)(?:<=\d+)?(\[(?:<=)?(\d*)\])?\s+([A-Za-z]\
 
 @dataclass(frozen=True)
 class Kind:
-    """What a field holds.
+    """Kind of a field: its type, and whether it is a single value, an array or a sequence.
 
     Attributes
     ----------
