@@ -503,14 +503,15 @@ def _probe_columns(
 ) -> Iterator[tuple[Indices, Indices, Array]]:
     """Rows of the equation, indices of coefficients, and their filtered columns in these rows, shape (rows, m, n).
 
-    A bounded number of columns is evaluated at a time. With a fixed base, those that are kept from an earlier model are
-    not evaluated again, and come all together.
+    All that a coefficient has in a row comes at once. A bounded number of columns is evaluated at a time. With a fixed
+    base, those that are kept from an earlier model are not evaluated again, and come all together.
     """
     motion = model.true_motion
+    are_rows_separate = isinstance(row_filter, SeparateRows)
     kept = motion.kept_columns
     if kept is not None and not kept.are_along(motion.q, motion.v, motion.a):
         kept = None
-    if not isinstance(row_filter, SeparateRows):  # columns of all rows would take too much memory
+    if not are_rows_separate:  # columns of all rows would take too much memory
         kept = None
     known: dict[int, list[tuple[int, Array]]] = {}  # by joint: first coefficient and filtered columns
     waiting: dict[int, list[tuple[int, Array]]] = {}  # likewise, unfiltered
@@ -525,7 +526,11 @@ def _probe_columns(
                 known.setdefault(joint, []).append((start, columns))
                 continue
             keys[start] = probe.column_key
-        for joint, columns in probe.columns(motion, model).items():
+        by_joint = probe.columns(motion, model)
+        if len(by_joint) > 1 and not are_rows_separate:
+            yield _filtered_together(start, by_joint, row_filter)
+            continue
+        for joint, columns in by_joint.items():
             waiting.setdefault(joint, []).append((start, columns))
             waiting_count[joint] += len(columns)
             if waiting_count[joint] >= _MAX_COLUMNS:
@@ -563,6 +568,28 @@ def _filtered(
     if kept is not None:
         _keep(started_columns, filtered[0], kept, keys)
     return rows, _indices(started_columns), filtered
+
+
+def _filtered_together(
+    start: int, by_joint: Mapping[int, Array], row_filter: RowFilter
+) -> tuple[Indices, Indices, Array]:
+    """Columns of a probe in several equations, filtered, of which each may appear in all rows; see `_probe_columns`.
+
+    Parameters
+    ----------
+    start
+        Index of the probe's first coefficient.
+    by_joint
+        Its columns in the equation of each joint, shape (k, N).
+    row_filter
+        What takes them to the band.
+    """
+    nv = len(row_filter.shares)
+    k, count = next(iter(by_joint.values())).shape
+    in_all_rows = np.zeros((nv, k, count))
+    for joint, columns in by_joint.items():
+        in_all_rows[joint] = columns
+    return np.arange(nv), start + np.arange(k), row_filter.filter_rows(in_all_rows)
 
 
 def _keep(
