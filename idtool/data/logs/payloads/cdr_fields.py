@@ -26,10 +26,10 @@ from idtool.robot.message_fields import EACH, JOINT_NAME, STAMP, MessageField, P
 if TYPE_CHECKING:
     from mcap.records import Schema
 
-_MAX_STEPS = 1 << 14  # fields and elements of a message that are passed one by one
+_MAX_VISITS = 1 << 14  # fields and elements of a message that are passed one by one
 _MAX_DEPTH = 32  # of types within types
-_PARTS = ("x", "y", "z", "w")
-_TIME_SIZE = 8  # bytes
+_COMPONENTS = ("x", "y", "z", "w")
+_TIME_SIZE, _TIME_ALIGNMENT = 8, 4  # bytes
 
 
 def field_decoders(schema: Schema, fields: MessageFields) -> FieldDecoders:
@@ -44,47 +44,47 @@ def field_decoders(schema: Schema, fields: MessageFields) -> FieldDecoders:
         types = parse_definition(schema)
     except ValueError as error:
         raise FieldError(str(error)) from None
-    message = _MessageType(short_type_name(schema.name), types)
-    stamp = fields.stamp.path if fields.stamp else message.default_stamp()
+    message_type = _MessageType(short_type_name(schema.name), types)
+    stamp = fields.stamp.path if fields.stamp else message_type.default_stamp()
     state_paths: list[tuple[str, Path]] = []
     sensor_paths: list[tuple[str, Path]] = []
     thresholds: dict[str, float] = {}
     for i, (key, entry) in enumerate(fields.entries.items()):
         try:
-            kind = message.kind_at(entry.path)
+            kind = message_type.kind_at(entry.path)
             if entry.channels:
-                sensor_paths += _channel_paths(message, entry, kind)
+                sensor_paths += _channel_paths(message_type, entry, kind)
             elif key == STAMP:
                 _check_stamp(entry, kind)
             else:
                 _check_joint_field(key, entry, kind)
-                _check_joint_count(message, entry, fields.joints)
+                _check_joint_count(message_type, entry, fields.joints)
                 state_paths.append((key, entry.path))
         except FieldError as error:
             raise FieldError(f"log.fields.{printable(key)}: {error}", i + error.closeness) from None
         if entry.threshold is not None:
             thresholds[entry.channels[0]] = entry.threshold
+    channels = tuple(name for name, _ in sensor_paths)
     if stamp is not None:
         state_paths.append((STAMP, stamp))
         sensor_paths.append((STAMP, stamp))
-    channels = tuple(name for name, _ in sensor_paths if name != STAMP)
-    states = _state_decoder(message.reader(state_paths), fields)
-    sensors = _sensor_decoder(message.reader(sensor_paths), channels, thresholds)
+    states = _state_decoder(message_type.reader(state_paths), fields)
+    sensors = _sensor_decoder(message_type.reader(sensor_paths), channels, thresholds)
     return FieldDecoders(states, sensors, channels)
 
 
 @dataclass
-class _Target:
+class _PathNode:
     """Node of the tree of addressed fields: the labels of those that end here, and the nodes within it, by step."""
 
     labels: list[str] = field(default_factory=list)
-    within: dict[Step, _Target] = field(default_factory=dict)
+    children: dict[Step, _PathNode] = field(default_factory=dict)
 
     def add(self, label: str, path: Path) -> None:
-        target = self
+        node = self
         for step in path:
-            target = target.within.setdefault(step, _Target())
-        target.labels.append(label)
+            node = node.children.setdefault(step, _PathNode())
+        node.labels.append(label)
 
 
 @dataclass(frozen=True)
@@ -144,29 +144,29 @@ class _MessageType:
 
     def reader(self, paths: Iterable[tuple[str, Path]]) -> _Reader:
         """Reader of the fields at some paths, by label."""
-        target = _Target()
+        root = _PathNode()
         for label, path in paths:
-            target.add(label, path)
-        return _Reader(self, target)
+            root.add(label, path)
+        return _Reader(self, root)
 
 
-def _channel_paths(message: _MessageType, entry: MessageField, kind: Kind) -> list[tuple[str, Path]]:
+def _channel_paths(message_type: _MessageType, entry: MessageField, kind: Kind) -> list[tuple[str, Path]]:
     """Path of the number of each channel of a field."""
     channels = entry.channels
     if len(channels) == 1:
-        if not kind.is_number or kind.is_collection:
+        if not kind.is_single_number:
             raise FieldError(f"{entry.text} is not a number")
         return [(channels[0], entry.path)]
     steps: Sequence[Step] = range(len(channels))
+    components = _COMPONENTS[: len(channels)]
     if kind.is_collection:
         is_usable = kind.is_number and kind.length in (None, len(channels))
     else:
-        fields = message.fields_of(kind) or {}
-        parts = [fields.get(part, kind) for part in _PARTS[: len(channels)]]
-        is_usable = all(part.is_number and not part.is_collection for part in parts)
+        fields = message_type.fields_of(kind) or {}
+        is_usable = all(name in fields and fields[name].is_single_number for name in components)
         steps = [channel[-1] for channel in channels]
     if not is_usable:
-        raise FieldError(f"{entry.text} is neither {len(channels)} numbers nor {', '.join(_PARTS[: len(channels)])}")
+        raise FieldError(f"{entry.text} is neither {len(channels)} numbers nor {', '.join(components)}")
     return [(channel, (*entry.path, step)) for channel, step in zip(channels, steps, strict=True)]
 
 
@@ -178,14 +178,14 @@ def _check_stamp(entry: MessageField, kind: Kind) -> None:
 def _check_joint_field(key: str, entry: MessageField, kind: Kind) -> None:
     if key == JOINT_NAME and kind != Kind("string"):
         raise FieldError(f"{entry.text} is not a text")
-    if key != JOINT_NAME and (not kind.is_number or kind.is_collection):
+    if key != JOINT_NAME and not kind.is_single_number:
         raise FieldError(f"{entry.text} is not a number")
 
 
-def _check_joint_count(message: _MessageType, entry: MessageField, joints: Sequence[str | None]) -> None:
+def _check_joint_count(message_type: _MessageType, entry: MessageField, joints: Sequence[str | None]) -> None:
     """Raise FieldError if an array is shorter than the list of joints."""
     array = entry.path[: entry.path.index(EACH)]
-    length = message.kind_at(array).length
+    length = message_type.kind_at(array).length
     if length is not None and length < len(joints):
         where = entry.text.partition(f"[{EACH}]")[0]
         raise FieldError(f"{where} has {length} elements, but {len(joints)} joints are listed (log.field_joints)")
@@ -196,98 +196,102 @@ class _Found:
     """Addressed fields of one message: offsets and type of the numbers by label, names, and the stamp's offset."""
 
     offsets: dict[str, list[int]] = field(default_factory=dict)
-    types: dict[str, str] = field(default_factory=dict)
-    names: list[str] = field(default_factory=list)
-    stamp: int | None = None
-    steps: int = 0
+    type_codes: dict[str, str] = field(default_factory=dict)
+    joint_names: list[str] = field(default_factory=list)
+    stamp_offset: int | None = None
+    visit_count: int = 0
 
 
 @dataclass(frozen=True)
 class _Reader:
     """Finds addressed fields in a message."""
 
-    message: _MessageType
-    target: _Target
+    message_type: _MessageType
+    root: _PathNode
 
     def find(self, cursor: Cursor) -> _Found:
         """The addressed fields; ValueError if the message does not match its definition."""
         found = _Found()
-        fields = self.message.types[self.message.name]
-        remaining = set(self.target.within)
+        fields = self.message_type.types[self.message_type.name]
+        remaining = set(self.root.children)
         for name, kind in fields.items():
             if not remaining:  # what follows is not read
                 break
-            self._pass(cursor, kind, _within([self.target], name), found, depth=0)
+            self._visit(cursor, kind, _children_at([self.root], name), found, depth=0)
             remaining.discard(name)
         return found
 
-    def _pass(self, cursor: Cursor, kind: Kind, targets: Sequence[_Target], found: _Found, depth: int) -> None:
+    def _visit(self, cursor: Cursor, kind: Kind, nodes: Sequence[_PathNode], found: _Found, depth: int) -> None:
         """Move over a field or an element, and note what is addressed."""
-        found.steps += 1
-        if found.steps > _MAX_STEPS or depth > _MAX_DEPTH:
+        found.visit_count += 1
+        if found.visit_count > _MAX_VISITS or depth > _MAX_DEPTH:
             raise ValueError("has too many nested fields; is this a message of a robot's state?")
         if kind.is_collection:
-            self._pass_collection(cursor, kind, targets, found, depth)
+            self._visit_collection(cursor, kind, nodes, found, depth)
         elif kind.is_number:
-            dtype = np.dtype(NUMBERS[kind.type_name])
-            _note(targets, cursor.skip(dtype.itemsize, dtype.itemsize), kind, found)
+            size = np.dtype(NUMBERS[kind.type_name]).itemsize
+            offset = cursor.skip(size, size)
+            _record_offset(nodes, offset, kind, found)
         elif kind.type_name == "string":
-            if any(JOINT_NAME in target.labels for target in targets):
-                if len(found.names) == MAX_JOINTS:
+            if any(JOINT_NAME in node.labels for node in nodes):
+                if len(found.joint_names) == MAX_JOINTS:
                     raise ValueError(f"names more than {MAX_JOINTS} joints")
-                found.names.append(cursor.string())
+                found.joint_names.append(cursor.string())
             else:
-                cursor.skip(cursor.count())
+                length = cursor.count()
+                cursor.skip(length)
         else:
-            self._pass_message(cursor, kind, targets, found, depth)
+            self._visit_message(cursor, kind, nodes, found, depth)
 
-    def _pass_collection(
-        self, cursor: Cursor, kind: Kind, targets: Sequence[_Target], found: _Found, depth: int
+    def _visit_collection(
+        self, cursor: Cursor, kind: Kind, nodes: Sequence[_PathNode], found: _Found, depth: int
     ) -> None:
         if not kind.is_number:
             cursor.skip_collection_size()
         count = cursor.count() if kind.length is None else kind.length
         if not kind.is_number:
             for i in range(count):
-                self._pass(cursor, kind.element, _within(targets, i), found, depth + 1)
+                self._visit(cursor, kind.element, _children_at(nodes, i), found, depth + 1)
             return
         if not count:  # then there is no padding either
             return
         size = np.dtype(NUMBERS[kind.type_name]).itemsize
         start = cursor.skip(count * size, size)
-        for target in targets:
-            for step, inner in target.within.items():
-                elements = [step] if isinstance(step, int) else range(min(count, MAX_JOINTS))
+        for node in nodes:
+            for step, child in node.children.items():
+                if isinstance(step, int):
+                    elements = [step] if step < count else []
+                else:
+                    elements = list(range(min(count, MAX_JOINTS)))
                 for i in elements:
-                    if i < count:
-                        _note([inner], start + i * size, kind, found)
+                    _record_offset([child], start + i * size, kind, found)
 
-    def _pass_message(self, cursor: Cursor, kind: Kind, targets: Sequence[_Target], found: _Found, depth: int) -> None:
-        fields = self.message.fields_of(kind)
+    def _visit_message(self, cursor: Cursor, kind: Kind, nodes: Sequence[_PathNode], found: _Found, depth: int) -> None:
+        fields = self.message_type.fields_of(kind)
         if fields is None:
             raise ValueError(f"contains {printable(kind.type_name)}, which cannot be read")
-        if kind.type_name == TIME and any(STAMP in target.labels for target in targets):
-            found.stamp = cursor.skip(_TIME_SIZE, 4)
+        if kind.type_name == TIME and any(STAMP in node.labels for node in nodes):
+            found.stamp_offset = cursor.skip(_TIME_SIZE, _TIME_ALIGNMENT)
             return
         if not fields:
             cursor.skip(1)  # ROS 2 fills a message without fields with a byte
         for name, inner in fields.items():
-            self._pass(cursor, inner, _within(targets, name), found, depth + 1)
+            self._visit(cursor, inner, _children_at(nodes, name), found, depth + 1)
 
 
-def _within(targets: Sequence[_Target], step: Step) -> list[_Target]:
+def _children_at(nodes: Sequence[_PathNode], step: Step) -> list[_PathNode]:
     """Nodes within some nodes, at the field or element of a step."""
-    inner = [target.within[step] for target in targets if step in target.within]
+    inner = [node.children[step] for node in nodes if step in node.children]
     if isinstance(step, int):
-        inner += [target.within[EACH] for target in targets if EACH in target.within]
+        inner += [node.children[EACH] for node in nodes if EACH in node.children]
     return inner
 
 
-def _note(targets: Sequence[_Target], offset: int, kind: Kind, found: _Found) -> None:
-    for target in targets:
-        for label in target.labels:
+def _record_offset(nodes: Sequence[_PathNode], offset: int, kind: Kind, found: _Found) -> None:
+    for node in nodes:
+        for label in node.labels:
             found.offsets.setdefault(label, []).append(offset)
-            found.types[label] = NUMBERS[kind.type_name]
+            found.type_codes[label] = NUMBERS[kind.type_name]
 
 
 def _state_decoder(reader: _Reader, fields: MessageFields) -> Decoder:
@@ -304,18 +308,21 @@ def _state_layout(message: bytes, reader: _Reader, fields: MessageFields) -> Lay
     """Layout of the joints' signals in a message."""
     cursor = Cursor(message)
     found = reader.find(cursor)
-    listed: Sequence[str | None] = fields.joints or found.names
+    listed: Sequence[str | None] = fields.joints or found.joint_names
     is_listed = [name is not None for name in listed]
     joints = tuple(name for name in listed if name is not None)
     check_names(joints)
     signals = {}
     for signal, offsets in found.offsets.items():
-        if len(offsets) < len(listed) or (not fields.joints and len(offsets) > len(listed)):
+        is_short = len(offsets) < len(listed)
+        is_long = not fields.joints and len(offsets) > len(listed)
+        if is_short or is_long:
             path = fields.entries[signal].text
             raise ValueError(f"has {count_text(len(offsets), 'value')} of {path} for {len(listed)} joints")
-        used = np.array(offsets[: len(listed)])[is_listed]
+        of_listed = np.array(offsets[: len(listed)])
+        used = of_listed[is_listed]
         signals[signal] = (used, _number_type(found, signal, cursor))
-    return Layout(joints, cursor.mask, signals, _stamp_of(found, cursor))
+    return Layout(joints, cursor.mask, signals, _stamp_function(found, cursor))
 
 
 def _sensor_decoder(reader: _Reader, channels: Sequence[str], thresholds: Mapping[str, float]) -> Decoder | None:
@@ -339,7 +346,7 @@ def _sensor_layout(message: bytes, reader: _Reader, channels: Sequence[str]) -> 
         if channel not in found.offsets:
             raise ValueError(f"lacks the number of channel {printable(channel)}: its sequence is too short")
         signals[channel] = (np.array(found.offsets[channel]), _number_type(found, channel, cursor))
-    return Layout(("",), cursor.mask, signals, _stamp_of(found, cursor))
+    return Layout(("",), cursor.mask, signals, _stamp_function(found, cursor))
 
 
 def _with_one_signal(piece: Samples, channels: Sequence[str], thresholds: Mapping[str, float]) -> Samples:
@@ -352,8 +359,12 @@ def _with_one_signal(piece: Samples, channels: Sequence[str], thresholds: Mappin
 
 
 def _number_type(found: _Found, label: str, cursor: Cursor) -> np.dtype[np.floating]:
-    return np.dtype(f"{cursor.order}{found.types[label]}")
+    return np.dtype(f"{cursor.order}{found.type_codes[label]}")
 
 
-def _stamp_of(found: _Found, cursor: Cursor) -> Callable[[Bytes], Array]:
-    return no_stamp if found.stamp is None else partial(stamp_seconds, offset=found.stamp, order=cursor.order)
+def _stamp_function(found: _Found, cursor: Cursor) -> Callable[[Bytes], Array]:
+    return (
+        no_stamp
+        if found.stamp_offset is None
+        else partial(stamp_seconds, offset=found.stamp_offset, order=cursor.order)
+    )

@@ -63,6 +63,11 @@ class Kind:
         return self.type_name in NUMBERS
 
     @property
+    def is_single_number(self) -> bool:
+        """True for a number that is in no array."""
+        return self.is_number and not self.is_collection
+
+    @property
     def is_text(self) -> bool:
         """True for texts, alone or in a collection."""
         return self.type_name in _TEXTS
