@@ -20,9 +20,21 @@ from idtool.setup.name_matching import match, words
 from idtool.setup.records import ConfigSection, TodoItem
 from idtool.setup.wrench_sensors import with_signs, wrench_sensor_joints, wrench_sensors_section
 
-_WORLD = {"world", "map", "odom", "ground"}  # words of a root link that stands still
-_HOLDERS = {"rope", "crane", "hoist", "gantry", "harness", "tether", "cable", "string", "stand", "hook", "support"}
-_BODIES = {"base", "body", "trunk", "torso", "pelvis"}
+_WORLD_WORDS = {"world", "map", "odom", "ground"}  # words of a root link that stands still
+_SUPPORT_WORDS = {
+    "rope",
+    "crane",
+    "hoist",
+    "gantry",
+    "harness",
+    "tether",
+    "cable",
+    "string",
+    "stand",
+    "hook",
+    "support",
+}
+_BASE_WORDS = {"base", "body", "trunk", "torso", "pelvis"}
 
 
 @dataclass(frozen=True)
@@ -127,12 +139,14 @@ class _Proposer:
         contacts, unmatched = self._logged_contacts(set(sensors))
         if sensors:
             self.sections["wrench_sensors"] = wrench_sensors_section(sensors)
-        feet = {self.model.frames[foot].body for foot in self.feet}
+        bodies_of_feet = {self.model.frames[foot].body for foot in self.feet}
         touching = {self.model.frames[link].body for link in contacts.values()}
-        if self._base(has_contacts=any(body in feet or self.model.bodies[body].is_base for body in touching)):
-            self._contacts(contacts, unmatched)
+        touches_foot_or_base = any(body in bodies_of_feet or self.model.bodies[body].is_base for body in touching)
+        is_floating = self._propose_base(touches_foot_or_base)
+        if is_floating:
+            self._propose_contacts(contacts, unmatched)
 
-    def _base(self, has_contacts: bool) -> bool:
+    def _propose_base(self, has_contacts: bool) -> bool:
         """Propose the base; True if it floats."""
         if "base" in self.config.model_fields_set:
             return self.config.base.kind == "floating"
@@ -145,7 +159,7 @@ class _Proposer:
                 self.todo.append(TodoItem("base", "the logs have contacts and no IMU: log one if the base moves"))
             return False
         reason = None
-        if words(self.robot.root) & _WORLD:
+        if words(self.robot.root) & _WORLD_WORDS:
             reason = f"the URDF's root is {self.robot.root}"
         elif not logged.base_moves and not has_contacts:
             reason = "the IMU stands still, and no contact was logged"
@@ -190,11 +204,12 @@ class _Proposer:
         contacts: dict[str, str] = {}
         unmatched = []
         for name in dict.fromkeys((*self.logged.flags, *self.logged.wrenches)):
+            has_flag = name in self.logged.flags
             is_of_sensor = name in sensors or f"force_{name}_x" in of_sensors
-            if is_of_sensor and name not in self.logged.flags:
+            if is_of_sensor and not has_flag:
                 continue
-            link = self._link(name)
-            if link is None and name in self.logged.flags and words(name) & (_HOLDERS | _BODIES):
+            link = self._link_of_contact(name)
+            if link is None and has_flag and words(name) & (_SUPPORT_WORDS | _BASE_WORDS):
                 link = self.robot.root
             if link is None:
                 unmatched.append(name)
@@ -204,7 +219,7 @@ class _Proposer:
             contacts |= {name: self.robot.root for name in unmatched if name in self.logged.flags}
         return contacts, [name for name in unmatched if name not in contacts]
 
-    def _link(self, name: str) -> str | None:
+    def _link_of_contact(self, name: str) -> str | None:
         """The link of a contact: one of that name, else a foot, else the end of a leg, else any link that is alike."""
         links = list(self.robot.links)
         if name in links:
@@ -213,7 +228,7 @@ class _Proposer:
         found = (match(name, candidates) for candidates in (self.feet, ends, links))
         return next((link for link in found if link is not None), None)
 
-    def _contacts(self, logged: dict[str, str], unmatched: Sequence[str]) -> None:
+    def _propose_contacts(self, logged: dict[str, str], unmatched: Sequence[str]) -> None:
         """Propose the contacts of a floating base."""
         if "contacts" in self.config.model_fields_set:
             return
@@ -244,7 +259,7 @@ class _Proposer:
 
     def _logged_contact(self, name: str, link: str) -> dict[str, Any]:
         """A contact with its flag or, if it has none, with its measured wrench."""
-        entry = {"name": name, "link": link, **self._touch(link)}
+        entry = {"name": name, "link": link, **self._contact_geometry(link)}
         if name in self.logged.flags:
             return {**entry, "flag": self.logged.flags[name]}
         channels = self.logged.wrenches[name]
@@ -258,10 +273,10 @@ class _Proposer:
 
     def _unlogged_contact(self, foot: str) -> dict[str, Any]:
         """A contact that the torque of the leg tells; always closed if it cannot tell the moment."""
-        entry = {"name": foot, "link": foot, **self._touch(foot)}
+        entry = {"name": foot, "link": foot, **self._contact_geometry(foot)}
         return {**entry, "flag": "auto"} if entry["kind"] == "point" else entry
 
-    def _touch(self, link: str) -> dict[str, Any]:
+    def _contact_geometry(self, link: str) -> dict[str, Any]:
         """Kind of a contact, and radius and centre of the ball if the URDF has one."""
         touch = touch_of(self.robot, self.model, link)
         if touch.is_surface:
