@@ -215,11 +215,12 @@ def validate_experiment(
         rollouts = evaluate_rollouts(experiment, models, held_out=True, progress=progress)
     simulation = simulation_report(rollouts, "model", experiment)
     notices = [*experiment.notices, *simulation_notices(rollouts, "model")]
+    model = experiment.model
     report = validation_report(
-        evaluation, experiment.model.units, experiment.band_hz, bounds, simulation, sources, notices
+        evaluation, model.units, experiment.band_hz, bounds, simulation, sources, notices, model.row_kinds
     )
     result = ValidationResult.from_result(report)
-    result._model = experiment.model
+    result._model = model
     result._models = models
     result._evaluation = evaluation
     result._rollouts = rollouts

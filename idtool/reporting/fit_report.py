@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -22,6 +23,7 @@ from idtool.reporting.results.fit import (
     AutomaticWeight,
     BodyReport,
     EffectReport,
+    ErrorsByKind,
     FitReport,
     FrictionErrors,
     FrictionIntervals,
@@ -37,7 +39,7 @@ from idtool.reporting.results.fit import (
     WrenchSensorReport,
 )
 from idtool.reporting.results.rollouts import Simulation
-from idtool.reporting.results.validation import ModelErrors, ValidationReport
+from idtool.reporting.results.validation import ModelErrors, ModelErrorsByKind, ValidationReport
 from idtool.reporting.simulation_report import simulation_report
 from idtool.reporting.uncertainty_report import (
     base_report,
@@ -71,6 +73,7 @@ def fit_report(fit: Fit) -> FitReport:
     experiment = fit.experiment
     joints = experiment.equation.joints
     analysis = fit.uncertainty_analysis
+    rms = _rms(fit, joints, raw=False)
     return FitReport(
         **provenance_fields(experiment.sources),
         joints=joints,
@@ -78,7 +81,8 @@ def fit_report(fit: Fit) -> FitReport:
         samples=SampleCounts(train=experiment.samples(held_out=False), validation=experiment.samples(held_out=True)),
         band_hz=experiment.band_hz,
         method=fit.method,
-        rms=_rms(fit, joints, raw=False),
+        rms=rms,
+        rms_by_kind=_errors_by_kind(rms, experiment.model.row_kinds),
         rms_raw=_rms(fit, joints, raw=True),
         nrms=nrms(fit.evaluation, "identified", joints),
         simulation=simulation_report(fit.simulation, "identified", experiment),
@@ -153,6 +157,35 @@ def _rms(fit: Fit, joints: tuple[str, ...], raw: bool) -> TorqueErrors:
         validation=plain_data(held_out["identified"].rms(joints, raw)) if fit.has_held_out else None,
         prior_validation=plain_data(held_out["prior"].rms(joints, raw)) if fit.has_held_out else None,
     )
+
+
+def _errors_by_kind(rms: TorqueErrors, kinds: Mapping[str, Sequence[str]]) -> ErrorsByKind | None:
+    """Errors by kind of row; None if there is one kind."""
+    if len(kinds) < 2:
+        return None
+    return ErrorsByKind(
+        train=rms_by_kind(rms.train, kinds),
+        validation=rms_by_kind(rms.validation, kinds) if rms.validation else None,
+        prior_validation=rms_by_kind(rms.prior_validation, kinds) if rms.prior_validation else None,
+    )
+
+
+def rms_by_kind(rms: Mapping[str, float | None], kinds: Mapping[str, Sequence[str]]) -> dict[str, float | None]:
+    """RMS errors of all joints, and of the length of each force and moment; None if no row of the kind has an error.
+
+    Parameters
+    ----------
+    rms
+        RMS error by row [N·m or N].
+    kinds
+        Rows of each kind, as `RobotModel.row_kinds`.
+    """
+    by_kind: dict[str, float | None] = {}
+    for kind, rows in kinds.items():
+        squares = [error**2 for row in rows if (error := rms[row]) is not None]
+        square = sum(squares) / len(squares) if kind == "joints" and squares else sum(squares)
+        by_kind[kind] = math.sqrt(square) if squares else None
+    return by_kind
 
 
 def met_bounds(rms: Mapping[str, float | None], bounds: Mapping[str, float]) -> dict[str, bool]:
@@ -411,6 +444,7 @@ def validation_report(
     simulation: Simulation | None = None,
     sources: Sequence[InputFile] = (),
     notices: Sequence[Notice] = (),
+    row_kinds: Mapping[str, Sequence[str]] | None = None,
 ) -> ValidationReport:
     """The content of validation.json.
 
@@ -430,10 +464,17 @@ def validation_report(
         The files that were read.
     notices
         The notices.
+    row_kinds
+        As `RobotModel.row_kinds`; None: there are only joints.
     """
     joints = tuple(units)
     rms = ModelErrors(**{model: plain_data(errors.rms(joints)) for model, errors in evaluation.errors.items()})
     rms_raw = {model: plain_data(errors.rms(joints, raw=True)) for model, errors in evaluation.errors.items()}
+    by_kind = None
+    if row_kinds is not None and len(row_kinds) > 1:
+        by_kind = ModelErrorsByKind(
+            model=rms_by_kind(rms.model, row_kinds), prior=rms_by_kind(rms.prior, row_kinds) if rms.prior else None
+        )
     return ValidationReport(
         **provenance_fields(sources),
         joints=joints,
@@ -441,6 +482,7 @@ def validation_report(
         samples=evaluation.errors["model"].samples,
         band_hz=band_hz,
         rms=rms,
+        rms_by_kind=by_kind,
         rms_raw=ModelErrors(**rms_raw),
         nrms=nrms(evaluation, "model", joints),
         simulation=simulation,

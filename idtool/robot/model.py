@@ -103,6 +103,18 @@ class RobotModel:
         return self.names[: self.joint_count]
 
     @property
+    def row_kinds(self) -> dict[str, tuple[str, ...]]:
+        """Names of the rows of one kind: of the joints, and of the force and the moment of each sensor and the base."""
+        kinds = {}
+        if self.joint_names:
+            kinds["joints"] = self.joint_names
+        for i, joint in enumerate(self.wrench_sensors):
+            kinds |= _force_and_moment(joint, self.names[self.sensor_coordinates(i)])
+        if self.has_floating_base:
+            kinds |= _force_and_moment("base", self.names[self.base_coordinates])
+        return kinds
+
+    @property
     def units(self) -> dict[str, str]:
         """Unit of each joint's torque or force."""
         return {joint.name: "N" if joint.kind == "prismatic" else "N·m" for joint in self.joints}
@@ -135,6 +147,11 @@ class RobotModel:
             if body.kind == "rotor":
                 inertia += body.axial_inertia(body.pi) * np.outer(body.ratios, body.ratios)
         return inertia
+
+
+def _force_and_moment(name: str, rows: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Rows of the force and of the moment of a sensor or the base."""
+    return {f"{name}_force": rows[:3], f"{name}_moment": rows[3:]}
 
 
 def _free_coordinates(names: Sequence[str], link: str) -> Iterator[UrdfJoint]:

@@ -27,6 +27,7 @@ from idtool.reporting.results.fit import FitReport
 from idtool.reporting.sections.fit import (
     BodiesSection,
     EffectsSection,
+    ErrorsByKindSection,
     FrictionSection,
     PriorWeightsSection,
     TorqueErrorsSection,
@@ -36,6 +37,7 @@ from idtool.reporting.sections.fit import (
 
 _PRIOR = PriorWeightsSection()
 _EFFECTS = EffectsSection()
+_ERRORS_BY_KIND = ErrorsByKindSection()
 _WHOLE_ROBOT = WholeRobotSection()
 _WRENCH_SENSORS = WrenchSensorsSection()
 _RESIDUALS = ("Residual by state, time and frequency", "residuals.html")
@@ -44,6 +46,7 @@ _MODELS_TEXT = "the original URDF and of the identified model"
 _SECTIONS = (
     ("Findings", "fit_findings.html"),
     TorqueErrorsSection(),
+    _ERRORS_BY_KIND,
     ("Measured and predicted torque", "torques.html"),
     _RESIDUALS,
     SIMULATION,
@@ -96,6 +99,7 @@ def fit_page(
         worse = [name for name, error in known_rms.items() if error >= (prior_rms[name] or 0.0)]
     automatic = report.regularization.automatic
     shown_if = {_RESIDUALS: bool(residual_maps), _EFFECTS: bool(report.effects), _PRIOR: automatic is not None}
+    shown_if[_ERRORS_BY_KIND] = report.rms_by_kind is not None
     shown_if[_WHOLE_ROBOT] = report.whole_robot is not None
     shown_if[_WRENCH_SENSORS] = bool(report.wrench_sensors)
     sections: Sections = [section for section in _SECTIONS if shown_if.get(section, True)]

@@ -9,18 +9,20 @@ from idtool.common.arrays import Array
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.reporting.number_text import rows_by_unit
-from idtool.reporting.pages.base import render
+from idtool.reporting.pages.base import Sections, render
 from idtool.reporting.pages.bodies import model_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
 from idtool.reporting.pages.simulation import SIMULATION, simulation_view, with_simulation
 from idtool.reporting.plots.torques import torque_figures
 from idtool.reporting.results.validation import ValidationReport
-from idtool.reporting.sections.validation import ModelErrorsSection
+from idtool.reporting.sections.validation import ModelErrorsByKindSection, ModelErrorsSection
 from idtool.robot.model import RobotModel
 
+_ERRORS_BY_KIND = ModelErrorsByKindSection()
 _SECTIONS = (
     ("Findings", "validation_findings.html"),
     ModelErrorsSection(),
+    _ERRORS_BY_KIND,
     ("Measured and predicted torque", "torques.html"),
     SIMULATION,
     ROBOT,
@@ -51,13 +53,15 @@ def validation_page(
         The tree of bodies, and coefficients of the same models, shape (p,) each: the robot is drawn.
     """
     units = report.units
+    shown_if: dict[object, bool] = {_ERRORS_BY_KIND: report.rms_by_kind is not None}
+    sections: Sections = [section for section in _SECTIONS if shown_if.get(section, True)]
     robot: dict[str, Any] = {"robot": None}
     if bodies:
         views = model_views(bodies[0], bodies[1]["model"], bodies[1].get("prior"))["bodies"]
         robot = robot_view(bodies[0], views, evaluation.traces, "model's")
     return render(
         "Validation of a dynamics model",
-        with_robot(with_simulation(_SECTIONS, report.simulation), robot),
+        with_robot(with_simulation(sections, report.simulation), robot),
         ["solids.js", "robot.js"],
         robot,
         report=report,

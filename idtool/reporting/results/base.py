@@ -91,6 +91,7 @@ class Keys:
 
 ByJoint = Annotated[ReadOnly[float], Keys("joint")]
 ByJointOrNone = Annotated[ReadOnly[float | None], Keys("joint")]
+ByKindOrNone = Annotated[ReadOnly[float | None], Keys("kind")]
 Units = Annotated[ReadOnly[str], Keys("joint")]
 ByParameter = Annotated[ReadOnly[Any], Keys("parameter")]
 Interval = tuple[float, float]

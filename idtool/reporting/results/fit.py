@@ -8,6 +8,7 @@ from idtool.common.arrays import Array
 from idtool.reporting.results.base import (
     ByJoint,
     ByJointOrNone,
+    ByKindOrNone,
     ByParameter,
     CombinationTerm,
     Interval,
@@ -34,6 +35,14 @@ class TorqueErrors(Record):
         "Error of the identified model on the held-out data; null if nothing was held out."
     )
     prior_validation: ByJointOrNone | None = field("Error of the original URDF on the held-out data.")
+
+
+class ErrorsByKind(Record):
+    """Errors of `rms` by kind of row: `joints` is the RMS over all joints; of a force or moment, of its length."""
+
+    train: ByKindOrNone = field("Error of the identified model on the fitted data [N·m or N].")
+    validation: ByKindOrNone | None = field("Error of the identified model on the held-out data.")
+    prior_validation: ByKindOrNone | None = field("Error of the original URDF on the held-out data.")
 
 
 class CorrelatedParameter(Record):
@@ -373,6 +382,10 @@ class FitReport(ReproducibleResult):
     band_hz: float = field("Cut-off of the low-pass [Hz].")
     method: str = field("`ls` (least squares) or `iv` (instrumental variables).")
     rms: TorqueErrors = field("RMS torque errors within the filter's band.")
+    rms_by_kind: ErrorsByKind | None = field(
+        "RMS errors of the joints, of the force and moment on a floating base (`base_force`, `base_moment`), and of "
+        "each wrench sensor (`<joint>_force`, `<joint>_moment`); null if there are only joints."
+    )
     rms_raw: TorqueErrors = field("RMS torque errors against the torque as logged.")
     nrms: ByJointOrNone = field(
         "`rms.validation` (or `train`) divided by the standard deviation of the measured torque."

@@ -9,6 +9,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 from idtool.reporting.results.base import (
     ByJoint,
     ByJointOrNone,
+    ByKindOrNone,
     Keys,
     ReadOnly,
     Record,
@@ -34,6 +35,13 @@ class ModelErrors(Record):
         return errors
 
 
+class ModelErrorsByKind(Record):
+    """Errors of `rms` by kind of row: `joints` is the RMS over all joints; of a force or moment, of its length."""
+
+    model: ByKindOrNone = field("Error of the model [N·m or N].")
+    prior: ByKindOrNone | None = field("Error of the `--prior` URDF; null without this option.")
+
+
 class ValidationReport(ReproducibleResult):
     """Result of `idtool validate`."""
 
@@ -42,6 +50,10 @@ class ValidationReport(ReproducibleResult):
     samples: int = field("Number of samples used.")
     band_hz: float = field("Cut-off of the low-pass [Hz].")
     rms: ModelErrors = field("RMS torque errors within the filter's band.")
+    rms_by_kind: ModelErrorsByKind | None = field(
+        "RMS errors of the joints, of the force and moment on a floating base (`base_force`, `base_moment`), and of "
+        "each wrench sensor (`<joint>_force`, `<joint>_moment`); null if there are only joints."
+    )
     rms_raw: ModelErrors = field("RMS torque errors against the torque as logged.")
     nrms: ByJointOrNone = field("`rms.model` divided by the standard deviation of the measured torque.")
     simulation: Simulation | None = field(

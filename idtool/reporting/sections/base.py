@@ -194,6 +194,23 @@ def unit_columns(units: Mapping[str, str]) -> list[Column]:
     return []
 
 
+def kind_label(kind: str) -> str:
+    """A kind of rows, a key of ``rms_by_kind``, in words: ``base force``."""
+    for part in ("force", "moment"):
+        if kind.endswith(f"_{part}"):
+            return f"{kind.removesuffix(f'_{part}')} {part}"
+    return kind
+
+
+def kind_unit(kind: str, units: Mapping[str, str]) -> str:
+    """Unit of a kind of rows, from the units by row: those of all joints, or of a force or moment."""
+    of_rows = {row: unit for row, unit in units.items() if row.startswith(f"{kind}_")}
+    if kind == "joints":
+        ends = tuple(f"_{part}_{axis}" for part in ("force", "moment") for axis in "xyz")
+        of_rows = {row: unit for row, unit in units.items() if not row.endswith(ends)}
+    return common_unit(of_rows)
+
+
 def unit_cells(units: Mapping[str, str], joint: str) -> list[Cell]:
     """The cell of `unit_columns` for a joint, or for ``overall``."""
     if not unit_columns(units):

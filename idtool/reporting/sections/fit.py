@@ -22,6 +22,8 @@ from idtool.reporting.sections.base import (
     Table,
     error_cells,
     error_column,
+    kind_label,
+    kind_unit,
     name_column,
     number_cell,
     percent_cell,
@@ -71,6 +73,32 @@ class TorqueErrorsSection(Section[FitReport]):
             "original URDF, on the held-out data. Error / torque: the error divided by the standard deviation of the "
             "measured torque."
         )
+
+
+class ErrorsByKindSection(Section[FitReport]):
+    """Errors of the joints, and of the forces and moments on the base and in sensors."""
+
+    title = "Error by kind"
+
+    @override
+    def table(self, report: FitReport) -> Table | None:
+        errors = report.rms_by_kind
+        if errors is None:
+            return None
+        columns = [
+            Column("quantity", kind="words"),
+            name_column("unit"),
+            Column("prior", help="The original URDF, on the held-out data"),
+            Column("train", help="The identified model, on the data that it was fitted to"),
+            Column("held out", help="The identified model, on the held-out data"),
+        ]
+        rows = []
+        for kind in errors.train:
+            cells = []
+            for by_kind in (errors.prior_validation, errors.train, errors.validation):
+                cells.append(number_cell(by_kind[kind] if by_kind else None))
+            rows.append([Cell(kind_label(kind)), Cell(kind_unit(kind, report.units)), *cells])
+        return Table("RMS error by kind; of a force or moment, of its length", columns, rows)
 
 
 class KnownValuesSection(Section[FitReport | DiagnosisReport]):

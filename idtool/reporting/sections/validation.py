@@ -12,6 +12,8 @@ from idtool.reporting.sections.base import (
     Column,
     Section,
     Table,
+    kind_label,
+    kind_unit,
     name_column,
     number_cell,
     percent_cell,
@@ -60,6 +62,28 @@ class ModelErrorsSection(Section[ValidationReport]):
             "logged: relative to the unfiltered torque, so noise above the band counts as error too. Error / torque: "
             "the model's error divided by the standard deviation of the measured torque."
         )
+
+
+class ModelErrorsByKindSection(Section[ValidationReport]):
+    """Errors of the joints, and of the forces and moments on the base and in sensors."""
+
+    title = "Error by kind"
+
+    @override
+    def table(self, report: ValidationReport) -> Table | None:
+        errors = report.rms_by_kind
+        if errors is None:
+            return None
+        columns = [Column("quantity", kind="words"), name_column("unit"), Column("model")]
+        if errors.prior is not None:
+            columns.append(Column("prior"))
+        rows = []
+        for kind in errors.model:
+            row = [Cell(kind_label(kind)), Cell(kind_unit(kind, report.units)), number_cell(errors.model[kind])]
+            if errors.prior is not None:
+                row.append(number_cell(errors.prior[kind]))
+            rows.append(row)
+        return Table("RMS error by kind; of a force or moment, of its length", columns, rows)
 
 
 class RegressionCasesSection(Section[RegressionReport]):

@@ -9,6 +9,7 @@ from idtool.reporting.results.fit import FitReport, SolverReport
 from idtool.reporting.sections.fit import (
     BodiesSection,
     EffectsSection,
+    ErrorsByKindSection,
     FrictionSection,
     TorqueErrorsSection,
     WholeRobotSection,
@@ -21,7 +22,7 @@ from idtool.reporting.terminal.simulation import show_simulation
 
 def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
     """The result of a fit: errors, bodies, friction, certificate, and where the files are."""
-    terminal.sections([TorqueErrorsSection()], report)
+    terminal.sections([TorqueErrorsSection(), ErrorsByKindSection()], report)
     show_simulation(terminal, report.simulation)
     terminal.sections([BodiesSection(), WholeRobotSection(), FrictionSection()], report)
     terminal.sections([WrenchSensorsSection(), EffectsSection()], report)

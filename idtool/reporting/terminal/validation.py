@@ -5,14 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 from idtool.reporting.results.validation import RegressionReport, ValidationReport
-from idtool.reporting.sections.validation import ModelErrorsSection, RegressionCasesSection
+from idtool.reporting.sections.validation import (
+    ModelErrorsByKindSection,
+    ModelErrorsSection,
+    RegressionCasesSection,
+)
 from idtool.reporting.terminal.base import Terminal
 from idtool.reporting.terminal.simulation import show_simulation
 
 
 def show_validation(terminal: Terminal, report: ValidationReport, folder: Path) -> None:
     """The result of a validation."""
-    terminal.sections([ModelErrorsSection()], report)
+    terminal.sections([ModelErrorsSection(), ModelErrorsByKindSection()], report)
     show_simulation(terminal, report.simulation)
     terminal.notices(report.notices)
     terminal.say(f"written: {folder}/validation.json, validation.html")
