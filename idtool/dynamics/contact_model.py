@@ -198,6 +198,41 @@ class ContactModel:
                 directions.append(on_all_coordinates)
         return np.concatenate(directions)
 
+    def torque_by_compliance(self, motion: Motion, unknown_forces: Array, max_load: float) -> Array:
+        """Generalized force that the contacts exert in addition per compliance of their balls [m/N], shape (nv, N).
+
+        Parameters
+        ----------
+        motion
+            N samples, with their contacts.
+        unknown_forces
+            From `unknown_forces`, shape (k, N) [N or N·m].
+        max_load
+            Largest normal force of a contact [N]; more counts as this.
+        """
+        contact_samples = contacts_of(motion)
+        motions = self._body_motions(motion)
+        jacobians = body_jacobians(self.model, motions)
+        torque = np.zeros_like(motion.tau)
+        first = 0  # component of the next unknown contact
+        for i, contact in enumerate(self.contacts):
+            body = self.model.frames[contact.link].body
+            if contact.is_measured:
+                to_body = self._wrench_to_body(contact, motions, contact_samples)
+                force = rotate(to_body, contact_samples.wrenches[i, :3])
+            else:
+                force = unknown_forces[first : first + 3]
+                first += 3 if contact.kind == "point" else 6
+            if not contact.is_compliant:
+                continue
+            up = rotate(self._base_to_body(motions, body), self._up_in_base(contact_samples))
+            load = np.clip(np.einsum("in,in->n", up, force), 0.0, max_load)
+            tangential = force - load * up
+            moment = load * cross(up, tangential)
+            J_angular = jacobians[body].S_w
+            torque[jacobians[body].coordinates] += np.einsum("icn,in->cn", J_angular, moment)
+        return torque
+
     def _body_motions(self, motion: Motion) -> Sequence[BodyMotion]:
         """Motion of every body without its rates: Jacobians depend on q alone."""
         zero_rates = np.zeros_like(motion.q)

@@ -12,7 +12,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry, friction_types
+from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry, foot_compliance, friction_types
 from idtool.estimation.dataset.equality_constraints import Constraint
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.fit import Fit
@@ -25,6 +25,7 @@ from idtool.reporting.results.fit import (
     EffectReport,
     ErrorsByKind,
     FitReport,
+    FootComplianceReport,
     FrictionErrors,
     FrictionIntervals,
     FrictionReport,
@@ -89,6 +90,7 @@ def fit_report(fit: Fit) -> FitReport:
         noise=dict(zip(joints, fit.estimate.noise.tolist(), strict=True)),
         bodies={body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
         whole_robot=whole_robot_report(fit),
+        foot_compliance=foot_compliance_report(fit),
         wrench_sensors=wrench_sensor_reports(fit),
         friction={joint: friction_report(fit, joint) for joint in experiment.model.joint_names},
         friction_intervals={joint: friction_intervals(fit, joint) for joint in experiment.model.joint_names},
@@ -253,6 +255,15 @@ def wrench_sensor_reports(fit: Fit) -> dict[str, WrenchSensorReport]:
     return reports
 
 
+def foot_compliance_report(fit: Fit) -> FootComplianceReport | None:
+    """Compliance of the balls of the feet; None if there are none."""
+    found = _coefficient(fit, foot_compliance.EFFECT, foot_compliance.OWNER)
+    if found is None:
+        return None
+    value, standard_error = found
+    return FootComplianceReport(value=value, standard_error=standard_error)
+
+
 def body_report(fit: Fit, index: int, body: Body) -> BodyReport:
     """One entry of ``bodies``."""
     part = slice(PI_SIZE * index, PI_SIZE * (index + 1))
@@ -370,6 +381,12 @@ def model_config(fit: Fit) -> dict[str, Any]:
     if contacts is not None:
         noise = dict(zip(experiment.equation.joints, round_to_digits(contacts.noise, 4).tolist(), strict=True))
         data["base"] = {**data.get("base", {}), "noise": noise}
+    compliance = foot_compliance_report(fit)
+    if compliance is not None:
+        balls = [contact.name for contact in config.contacts if contact.is_compliant]
+        for contact in data["contacts"]:
+            if contact["name"] in balls:
+                contact["compliance"] = float(round_to_digits(np.array(compliance.value), 6))
     sensors = wrench_sensor_reports(fit)
     for sensor in data.get("wrench_sensors", ()):
         if sensor["joint"] in sensors:

@@ -18,6 +18,7 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.names import printable, suggestion
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.entry_parameters import entry_location
+from idtool.dynamics.effects.foot_compliance import FootCompliance
 from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.named_effect import NamedEffect, ParameterValue, config_parameters
 from idtool.dynamics.effects.rigid_body import RigidBodies
@@ -96,7 +97,12 @@ def build_effects(model: RobotModel, config: Config) -> tuple[Effect, ...]:
             raise ConfigError(entry_location(entry), f"is listed twice{subject}; keep one entry")
         entry_keys.add(effect.key)
         effects[effect.key] = effect
-    return (RigidBodies(model), *sorted(effects.values(), key=lambda effect: effect.order))
+    feet = [contact for contact in config.contacts if contact.is_compliant]
+    others: list[Effect] = []
+    if model.has_floating_base and feet:
+        compliance = np.mean([contact.first_compliance for contact in feet])
+        others.append(FootCompliance(model, config.contacts, float(compliance)))
+    return (RigidBodies(model), *others, *sorted(effects.values(), key=lambda effect: effect.order))
 
 
 def mechanism_of(effect: Effect, model: RobotModel) -> Mechanism:

@@ -351,6 +351,13 @@ class WholeRobotReport(Record):
     prior_com: Vector = field("That of the prior [m].")
 
 
+class FootComplianceReport(Record):
+    """How far the balls of the feet give way under load, the same for all."""
+
+    value: float = field("Compliance, the inverse of the stiffness [m/N].")
+    standard_error: float | None = field("Its standard error [m/N]; null if the data do not determine it.")
+
+
 class WrenchSensorReport(Record):
     """Reading of a sensor of force and moment without load."""
 
@@ -394,6 +401,9 @@ class FitReport(ReproducibleResult):
     noise: ByJoint = field("Torque noise used to weight the joint's equation [N·m or N].")
     bodies: Annotated[ReadOnly[BodyReport], Keys("body")] = field("Identified links and rotors.")
     whole_robot: WholeRobotReport | None = field("Mass and centre of mass of the whole robot; null with a fixed base.")
+    foot_compliance: FootComplianceReport | None = field(
+        "Compliance of the feet of a robot with a floating base; null if none of them is a ball that gives way."
+    )
     wrench_sensors: Annotated[ReadOnly[WrenchSensorReport], Keys("joint")] = field(
         "Wrench sensors whose offset was identified, by the fixed joint that they are at."
     )

@@ -146,6 +146,10 @@ class WholeRobotSection(Section[FitReport]):
         for axis, prior, value, error in zip("xyz", robot.prior_com, robot.com, robot.com_standard_error, strict=True):
             center = Cell(f"centre of mass, {axis}"), Cell("m"), number_cell(float(prior))
             rows.append([*center, *error_cells(float(value), error)])
+        compliance = report.foot_compliance
+        if compliance is not None:
+            label = Cell("compliance of the feet"), Cell("m/N"), Cell(NO_VALUE)
+            rows.append([*label, *error_cells(compliance.value, compliance.standard_error)])
         return Table(self.title, columns, rows)
 
     @override

@@ -10,6 +10,7 @@ from idtool.robot.config.base import ConfigRecord, Name, NonNegative, NoTruthVal
 
 _MAX_WIDENING = 10.0  # s
 _MAX_DELAY = 1.0  # s
+_MAX_COMPLIANCE = 0.01  # m/N
 
 Delay = Annotated[float, Field(ge=-_MAX_DELAY, le=_MAX_DELAY, allow_inf_nan=False)]
 
@@ -18,6 +19,15 @@ def _delay(data: object) -> object:
     is_number = isinstance(data, int | float) and not isinstance(data, bool) and abs(data) <= _MAX_DELAY
     if data != "auto" and not is_number:
         raise ValueError(f"{data} is not a delay; give auto, or a number in s of at most {_MAX_DELAY:g}")
+    return data
+
+
+def _compliance(data: object) -> object:
+    is_number = isinstance(data, int | float) and not isinstance(data, bool) and 0 <= data <= _MAX_COMPLIANCE
+    if data not in ("fit", "none") and not is_number:
+        raise ValueError(
+            f"{data} is not a compliance; give fit, none, or a number in m/N from 0 to {_MAX_COMPLIANCE:g}"
+        )
     return data
 
 
@@ -60,7 +70,8 @@ class Contact(ConfigRecord):
     by ``widen`` [s] at both ends. ``force`` and ``moment`` name the channels of a measured wrench on the link, along
     the axes of ``frame``, or with the ``sign`` −1 that of the link on what it touches; without them, the wrench is
     unknown. With a fixed base, the world has the axes of the root link, and gravity tells which point of a ball is the
-    lowest.
+    lowest. ``compliance`` is how far a ball gives way per force [m/N], the same for all balls of a robot with a
+    floating base, which a fit determines; a number is the first guess, and ``none`` a rigid ball.
     """
 
     name: Name
@@ -68,6 +79,7 @@ class Contact(ConfigRecord):
     kind: Literal["point", "surface"] = "point"
     point: Vector = (0.0, 0.0, 0.0)
     radius: NonNegative = 0.0
+    compliance: Annotated[Literal["fit", "none"] | NonNegative, BeforeValidator(_compliance)] = "fit"
     flag: Name | None = None
     widen: Annotated[float, Field(ge=0, le=_MAX_WIDENING, allow_inf_nan=False), NoTruthValue] = 0.12
     frame: Literal["world", "link"] = "world"
@@ -89,6 +101,16 @@ class Contact(ConfigRecord):
     def is_measured(self) -> bool:
         """True if the log has its wrench."""
         return self.force is not None
+
+    @property
+    def is_compliant(self) -> bool:
+        """True for a ball that gives way."""
+        return self.radius > 0 and self.compliance != "none"
+
+    @property
+    def first_compliance(self) -> float:
+        """Its compliance before any data [m/N]."""
+        return 0.0 if isinstance(self.compliance, str) else self.compliance
 
     @property
     def has_automatic_flag(self) -> bool:
