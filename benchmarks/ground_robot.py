@@ -120,15 +120,21 @@ def read_config(folder: Path, robot_name: str, forces: str) -> Config:
 
 
 def true_model(folder: Path, truth: Robot, config: Config, noise: Mapping[str, float]) -> idtool.Model:
-    """The true robot with its friction and the offsets of its sensors, and a given noise of the rows."""
+    """The true robot with its friction, soft feet and offsets of its sensors, and a given noise of the rows."""
     friction = {}
     for joint, viscous, coulomb in zip(truth.joints, truth.viscous, truth.coulomb, strict=True):
         friction[joint] = {"viscous": float(viscous), "coulomb": float(coulomb)}
     sensors = []
     for sensor in config.get("wrench_sensors", []):
         sensors.append({**sensor, "offset": truth.wrench_sensors[sensor["joint"]].tolist()})
+    compliance = {foot.name: 1 / foot.softness.stiffness for foot in truth.feet if not foot.is_sole}
+    contacts = []
+    for contact in config["contacts"]:
+        own = {"compliance": compliance[contact["name"]]} if contact["name"] in compliance else {}
+        contacts.append({**contact, **own})
     base = {**config["base"], "noise": dict(noise)}
-    complete = {**config, "base": base, "friction": friction, "wrench_sensors": sensors}
+    changes = {"base": base, "contacts": contacts, "friction": friction, "wrench_sensors": sensors}
+    complete = {**config, **changes}
     return idtool.Model(folder / "true.urdf", config=complete)
 
 
