@@ -112,8 +112,10 @@ def read(
         notices.append(Notice("columns_ignored", "note", None, message))
     notices += convert_to_seconds(t)
     log = make_log_of_complete_samples(path, t, joints, signals, tuple(notices))
-    channels = {} if sensor_topics is None else sensor_topics.channels(states_topic)
-    return replace(log, preset=preset, channels=channels)
+    if sensor_topics is None:
+        return replace(log, preset=preset)
+    channels = sensor_topics.channels(states_topic)
+    return replace(log, preset=preset, channels=channels, notices=log.notices + sensor_topics.notices)
 
 
 def _command_signals(commands: SampleBuffer, t: Array, joints: tuple[str, ...]) -> dict[str, Array]:

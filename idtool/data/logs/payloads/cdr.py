@@ -20,6 +20,7 @@ from idtool.data.logs.payloads.base import (
     Decoder,
     FieldDecoders,
     MessageFields,
+    SensorDecoder,
     TextDecoder,
     check_counts,
     check_names,
@@ -69,8 +70,8 @@ def text(schema: Schema) -> TextDecoder | None:
     return _text if schema.name.replace("/msg/", "/") == "std_msgs/String" else None
 
 
-def sensor(schema: Schema) -> Decoder | None:
-    """Decoder of messages of `sensor_types`, whose numbers are the signal ``sensor``."""
+def sensor(schema: Schema) -> SensorDecoder | None:
+    """Decoder of messages of `sensor_types`, in whatever language their schema is written."""
     sensor_type = SENSOR_TYPES.get(schema.name.replace("/msg/", "/"))
     if sensor_type is None:
         return None
@@ -80,7 +81,7 @@ def sensor(schema: Schema) -> Decoder | None:
         samples, _ = decode_by_layout(buffer, starts, lengths, layout)
         return samples
 
-    return decode
+    return SensorDecoder(decode, sensor_type.numbers)
 
 
 def fields(schema: Schema, fields: MessageFields) -> FieldDecoders:

@@ -1,4 +1,4 @@
-"""Messages of sensors that are of no joint: the numbers in each, and the channels that they become.
+"""Messages in CDR of sensors that are of no joint: the numbers in each, and the channels that they become.
 
 Source: the ROS 2 packages sensor_msgs, geometry_msgs and std_msgs.
 """
@@ -31,10 +31,6 @@ class SensorType:
     has_header: bool
     numbers: tuple[str, ...]
     dtype: str = "f8"
-
-    def channels(self, topic: str) -> tuple[str, ...]:
-        """Channel of each number of a topic's messages; empty: the number is not read."""
-        return tuple(number.format(topic) for number in self.numbers)
 
     def number_type(self, order: str) -> np.dtype[np.floating]:
         """Type of the numbers with a byte order."""
