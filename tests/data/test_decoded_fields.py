@@ -295,19 +295,17 @@ def test_messages_with_random_bytes_are_read_or_refused(ground_log: Path, tmp_pa
     refused = 0
     for source, options in ((robot, {"fields": FIELDS}), (sensors, {})):
         with source.open("rb") as file:
-            messages = [
-                (channel.topic, schema, message) for schema, channel, message in make_reader(file).iter_messages()
-            ]
+            messages = list(make_reader(file).iter_messages())
         for _ in range(40):
             schema, channel, message = messages[rng.integers(1, len(messages))]
             data = bytearray(message.data)
             if data:
                 data[rng.integers(len(data))] = rng.integers(256)
             assert schema is not None
-            definition = (schema.name, schema.encoding, schema.data)
+            schema_fields = (schema.name, schema.encoding, schema.data)
             log_time = message.log_time
             kept = [message.data, bytes(data), message.data]
-            damaged = Channel(channel.topic, [log_time, log_time, log_time + 1], kept, encoding, definition)
+            damaged = Channel(channel.topic, [log_time, log_time, log_time + 1], kept, encoding, schema_fields)
             try:
                 read(write_channels(tmp_path / "log.mcap", damaged, json_channel(states(3))), **options)
             except LogError:

@@ -170,7 +170,7 @@ class SensorTopics:
         type_name = schema.name.replace("/msg/", "/")
         decoder = sensor_decoder_for(definition.message_encoding, schema)
         if decoder is not None:
-            names = decoder.channels(_channel_name(definition.topic))
+            names = decoder.channels(channel_part(definition.topic))
             return _Topic(type_name, names, decoder.decode)
         key = (definition.message_encoding, schema.id)
         if key not in self._sources:
@@ -202,7 +202,8 @@ class SensorTopics:
                 raise fault from None
             topic.error = fault  # it may not be the topic of the states
             return
-        log_time = heads["log_time"] / 1e9
+        seconds, nanoseconds = np.divmod(heads["log_time"], np.uint64(10**9))
+        log_time = seconds + nanoseconds / 1e9
         for piece in decoded:
             topic.times.append(np.where(piece.t == 0, log_time[piece.index], piece.t))
             used = [i for i, channel in enumerate(topic.channels) if channel]
@@ -218,7 +219,7 @@ def _has_imu(topic: _Topic) -> bool:
     return any(map(_is_of_imu, topic.channels))
 
 
-def _channel_name(topic: str) -> str:
+def channel_part(topic: str) -> str:
     """Name of a topic as part of the names of its channels."""
     name = topic.strip("/").replace("/", "_")
     for prefix in _PREFIXES:

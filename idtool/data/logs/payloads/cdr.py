@@ -170,6 +170,33 @@ def encode(nanoseconds: NDArray[np.int64], joints: Sequence[str], signals: Mappi
     return messages
 
 
+def encode_sensor(sensor_type: SensorType, nanoseconds: NDArray[np.int64], numbers: Array) -> Bytes:
+    """Messages of a type of sensor in little-endian XCDR1, shape (k, L).
+
+    Parameters
+    ----------
+    sensor_type
+        The type.
+    nanoseconds
+        Header stamps [ns], shape (k,), if the type has a header; the seconds must fit 32 bits.
+    numbers
+        All numbers of the type, shape (k, n).
+    """
+    dtype = sensor_type.number_type("<")
+    template = bytearray(b"\0\1\0\0")
+    if sensor_type.has_header:
+        template += bytes(8) + struct.pack("<I", 1) + b"\0"  # an empty frame_id
+        template += bytes((HEADER - len(template)) % dtype.itemsize)
+    start = len(template)
+    template += bytes(numbers.shape[1] * dtype.itemsize)
+    messages = np.tile(np.frombuffer(bytes(template), np.uint8), (len(numbers), 1))
+    if sensor_type.has_header:
+        stamps = np.stack(np.divmod(nanoseconds, 10**9), axis=1).astype("<i4")
+        messages[:, HEADER : HEADER + 8] = stamps.view(np.uint8)
+    messages[:, start:] = np.ascontiguousarray(numbers.astype(dtype)).view(np.uint8)
+    return messages
+
+
 def _zero_message(joints: Sequence[str], signals: Mapping[str, Array]) -> bytes:
     """A message in which the stamp and all values are zero."""
     message = bytearray(b"\0\1\0\0" + bytes(8))
