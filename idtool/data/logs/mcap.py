@@ -142,7 +142,7 @@ def write(file: BinaryIO, log: JointLog) -> None:
     ValueError
         If a time does not fit a stamp.
     """
-    sensors = sensor_messages(log.channels, log.start)
+    sensors = sensor_messages(log.channels, float(np.min(log.t, initial=np.inf)))
     for t in (log.t, *(messages.t for messages in sensors)):
         if not (np.abs(t) < 2**31 - 1).all():
             raise ValueError("its times are too large for a header stamp, which has 32 bits for the seconds")
