@@ -241,7 +241,7 @@ class Log:
         return self._record.notices
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the log in the format of the file extension; returns the path.
+        """Write the log, with the channels of its sensors, in the format of the file extension; returns the path.
 
         Raises
         ------

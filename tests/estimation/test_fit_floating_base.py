@@ -71,6 +71,18 @@ def test_mass_and_centre_of_mass_are_found(folder: Path, forces: str) -> None:
     assert "floating_base_not_simulated" in [notice.code for notice in again.notices]
 
 
+def test_written_logs_give_the_same_robot(folder: Path, tmp_path: Path) -> None:
+    """A log with its sensors, written as CSV and as MCAP."""
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
+    log = idtool.Log(folder / "hang.csv")
+    masses = []
+    for path in (folder / "hang.csv", log.save(tmp_path / "hang.csv"), log.save(tmp_path / "hang.mcap")):
+        robot = idtool.fit(model, path, quick=True).whole_robot
+        assert robot is not None
+        masses.append([robot.mass, *robot.com])
+    assert masses[0] == masses[1] == masses[2]
+
+
 @pytest.mark.parametrize(("kind", "rows"), [("stand", 18 - 12), ("hang", 18 - 6)])
 def test_true_robot_leaves_the_noise_of_its_sensors(folder: Path, kind: str, rows: int) -> None:
     """In units of their noise, no more in sum than there are rows less components of unknown forces.

@@ -326,7 +326,12 @@ def random_messages(type_name: str, count: int, fill: Callable[[int, Message], N
 
 
 def _types(type_name: str) -> dict[str, list[tuple[str, str]]]:
-    main, *parts = DEFINITIONS[type_name].split(f"{SEPARATOR}\n")
+    return parse_types(type_name, DEFINITIONS[type_name])
+
+
+def parse_types(type_name: str, text: str) -> dict[str, list[tuple[str, str]]]:
+    """Kind and name of each field, of a type and of those within it, in a definition."""
+    main, *parts = text.split(f"{SEPARATOR}\n")
     texts = {type_name.replace("/msg/", "/"): main}
     for part in parts:
         line, _, body = part.partition("\n")
@@ -337,7 +342,7 @@ def _types(type_name: str) -> dict[str, list[tuple[str, str]]]:
         package = name.partition("/")[0]
         types[name] = []
         for words in lines:
-            if len(words) == 2 and "=" not in words[1]:  # no constant
+            if len(words) in (2, 3) and "=" not in "".join(words[1:]):  # no constant
                 kind = "std_msgs/Header" if words[0] == "Header" else words[0]
                 is_own = kind[0].isupper()
                 types[name].append((f"{package}/{kind}" if is_own else kind, words[1]))

@@ -18,9 +18,10 @@ from idtool.common.notice import Notice
 from idtool.data.logs.columns import find_columns
 from idtool.data.logs.interleaved import make_log_of_complete_samples
 from idtool.data.logs.log import SIGNALS, Channel, JointLog, truncation_notice
+from idtool.data.logs.merged_rows import merge_rows, take_rows
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
 from idtool.data.logs.sample_buffer import SampleBuffer, Samples
-from idtool.data.logs.sensor_channels import SensorOptions, is_flag
+from idtool.data.logs.sensor_channels import SensorOptions, finite_samples, is_flag
 from idtool.data.logs.table import CsvTable
 from idtool.data.logs.times import convert_to_seconds
 
@@ -114,12 +115,28 @@ def read(
 
 
 def write(file: BinaryIO, log: JointLog) -> None:
-    """Write a log with canonical column names and all digits of every number."""
+    """Write a log with canonical column names and all digits of every number.
+
+    The channels of sensors have a value only in the rows of their own times.
+    """
     columns = [(name, j) for j, joint in enumerate(log.joints) for name in SIGNALS if log.has(name, joint)]
+    channels = {name: finite_samples(channel) for name, channel in log.channels.items()}
+    times, (joint_rows, *channel_rows) = merge_rows(log.t, [channel.t for channel in channels.values()])
     header = io.StringIO()
-    csv.writer(header, lineterminator="\n").writerow(["t", *(f"{name}_{log.joints[j]}" for name, j in columns)])
+    names = ["t", *(f"{name}_{log.joints[j]}" for name, j in columns), *channels]
+    csv.writer(header, lineterminator="\n").writerow(names)
     file.write(header.getvalue().encode())
-    for start in range(0, len(log), _BLOCK):
+    for start in range(0, len(times), _BLOCK):
         rows = slice(start, start + _BLOCK)
-        table = np.column_stack([log.t[rows], *(log.signals[name][rows, j] for name, j in columns)])
-        file.writelines(",".join(map(repr, row)).encode() + b"\n" for row in table.tolist())
+        of_joints = [take_rows(log.signals[name][:, j], joint_rows[rows]) for name, j in columns]
+        of_sensors = []
+        for channel, own_rows in zip(channels.values(), channel_rows, strict=True):
+            of_sensors.append(take_rows(channel.x, own_rows[rows]))
+        table = np.column_stack([times[rows], *of_joints, *of_sensors])
+        write_cell = _cell if channels else repr
+        file.writelines(",".join(map(write_cell, row)).encode() + b"\n" for row in table.tolist())
+
+
+def _cell(x: float) -> str:
+    """A number; empty for NaN."""
+    return repr(x) if x == x else ""

@@ -21,7 +21,7 @@ from idtool.data.logs.times import suspected_unit, time_unit_notice
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
 
-_SET = 0.5  # value of a flag, above which it is set
+SET = 0.5  # value of a flag, above which it is set
 _RECOVERY = 20  # samples before and after a long step that decide whether it is a gap
 _BLOCK = 1 << 15  # samples checked together
 
@@ -55,12 +55,12 @@ class Channel:
         widen
             Time [s] by which it counts as set before it is, and after it was.
         """
-        set_times = self.t[self.x > _SET]
+        set_times = self.t[self.x > SET]
         first = np.searchsorted(set_times, t - widen)
         stop = np.searchsorted(set_times, t + widen, side="right")
         is_set_within = stop > first
         latest_before = np.searchsorted(self.t, t - widen, side="right") - 1
-        was_set_before = self.x[np.maximum(latest_before, 0)] > _SET
+        was_set_before = self.x[np.maximum(latest_before, 0)] > SET
         return np.asarray(is_set_within | was_set_before)
 
 

@@ -1,6 +1,6 @@
 """MCAP logs: ROS 2 JointState messages, and the same fields as JSON and protobuf.
 
-Written logs have the states on one topic and the commands, if any, on another.
+Written logs have the states on one topic, the commands, if any, on another, and every sensor on one of its own.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+from mcap.writer import Writer
+from numpy.typing import NDArray
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
@@ -21,9 +23,11 @@ from idtool.data.logs.interleaved import make_log_of_complete_samples
 from idtool.data.logs.log import JointLog, truncation_notice
 from idtool.data.logs.mcap_file import open_mcap
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
-from idtool.data.logs.payloads.cdr import DEFINITION, TYPE, encode
+from idtool.data.logs.payloads.cdr import DEFINITION, TYPE, encode, encode_sensor
+from idtool.data.logs.payloads.sensor_types import SENSOR_TYPES
 from idtool.data.logs.sample_buffer import SampleBuffer
 from idtool.data.logs.sensor_channels import SensorOptions
+from idtool.data.logs.sensor_messages import SensorMessages, sensor_messages
 from idtool.data.logs.sensor_topics import SensorTopics
 from idtool.data.logs.times import convert_to_seconds
 from idtool.data.logs.topics import COMMANDS_OF, TopicReader
@@ -112,8 +116,10 @@ def read(
         notices.append(Notice("columns_ignored", "note", None, message))
     notices += convert_to_seconds(t)
     log = make_log_of_complete_samples(path, t, joints, signals, tuple(notices))
-    channels = {} if sensor_topics is None else sensor_topics.channels(states_topic)
-    return replace(log, preset=preset, channels=channels)
+    if sensor_topics is None:
+        return replace(log, preset=preset)
+    channels = sensor_topics.channels(states_topic)
+    return replace(log, preset=preset, channels=channels, notices=log.notices + sensor_topics.notices)
 
 
 def _command_signals(commands: SampleBuffer, t: Array, joints: tuple[str, ...]) -> dict[str, Array]:
@@ -136,10 +142,10 @@ def write(file: BinaryIO, log: JointLog) -> None:
     ValueError
         If a time does not fit a stamp.
     """
-    from mcap.writer import Writer
-
-    if not (np.abs(log.t) < 2**31 - 1).all():
-        raise ValueError("its times are too large for a header stamp, which has 32 bits for the seconds")
+    sensors = sensor_messages(log.channels, float(np.min(log.t, initial=np.inf)))
+    for t in (log.t, *(messages.t for messages in sensors)):
+        if not (np.abs(t) < 2**31 - 1).all():
+            raise ValueError("its times are too large for a header stamp, which has 32 bits for the seconds")
     writer = Writer(file)
     writer.start(profile="ros2", library="idtool")
     schema = writer.register_schema(TYPE, "ros2msg", DEFINITION.encode())
@@ -147,10 +153,10 @@ def write(file: BinaryIO, log: JointLog) -> None:
     if log.signals.keys() & _COMMANDS.values():
         metadata = {COMMANDS_OF: _STATES_TOPIC}
         topics.append((writer.register_channel(_COMMANDS_TOPIC, "cdr", schema, metadata), _COMMANDS))
+    sensor_writers = [_SensorWriter(writer, messages) for messages in sensors]
     for start in range(0, len(log), _BLOCK):
         rows = slice(start, start + _BLOCK)
-        seconds = np.floor(log.t[rows])
-        stamps = seconds.astype(np.int64) * 10**9 + np.rint((log.t[rows] - seconds) * 1e9).astype(np.int64)
+        stamps = _nanoseconds(log.t[rows])
         messages = []
         for channel, names in topics:
             signals = {field: log.signals[name][rows] for field, name in names.items() if name in log.signals}
@@ -159,4 +165,38 @@ def write(file: BinaryIO, log: JointLog) -> None:
             time = max(0, stamp)
             for channel, data in messages:
                 writer.add_message(channel, time, data[i].tobytes(), time, start + i)
+        for sensor_writer in sensor_writers:
+            sensor_writer.write_until(float(log.t[rows][-1]))
+    for sensor_writer in sensor_writers:
+        sensor_writer.write_until(np.inf)
     writer.finish()  # type: ignore[no-untyped-call]
+
+
+class _SensorWriter:
+    """Writes the messages of a sensor's topic step by step, so that they are in the file near those of the joints."""
+
+    def __init__(self, writer: Writer, messages: SensorMessages) -> None:
+        self._writer = writer
+        self._messages = messages
+        self._type = SENSOR_TYPES[messages.type_name]
+        type_name = messages.type_name.replace("/", "/msg/")
+        schema = writer.register_schema(type_name, "ros2msg", self._type.definition.encode())
+        self._channel = writer.register_channel(messages.topic, "cdr", schema)
+        self._count = 0
+
+    def write_until(self, t: float) -> None:
+        """Write what is left of the messages up to a time [s]."""
+        stop = int(np.searchsorted(self._messages.t, t, side="right"))
+        for start in range(self._count, stop, _BLOCK):
+            rows = slice(start, min(start + _BLOCK, stop))
+            stamps = _nanoseconds(self._messages.t[rows])
+            data = encode_sensor(self._type, stamps, self._messages.numbers[rows])
+            for i, stamp in enumerate(stamps.tolist()):
+                time = max(0, stamp)
+                self._writer.add_message(self._channel, time, data[i].tobytes(), time, start + i)
+        self._count = max(self._count, stop)
+
+
+def _nanoseconds(t: Array) -> NDArray[np.int64]:
+    seconds = np.floor(t)
+    return np.asarray(seconds.astype(np.int64) * 10**9 + np.rint((t - seconds) * 1e9).astype(np.int64))

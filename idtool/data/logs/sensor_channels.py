@@ -69,7 +69,8 @@ def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
                 empty_flags.append(name)
             channels[name] = _closed_before(_in_same_clock(name, channels[name], log), log)
         elif len(channels[name].t) < 2:
-            raise LogError(log.path, f"channel {printable(name)} has no values")
+            what = f"channel {printable(name)} has no values; log this sensor, or leave it out of the configuration"
+            raise LogError(log.path, what)
     orientation = {name: channels[name] for name in _QUATERNION if name in channels}
     if orientation:
         channels |= _continuous_orientation(orientation, log)

@@ -17,14 +17,16 @@ from mcap.records import Schema
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable, suggestion
+from idtool.common.notice import Notice
 from idtool.data.logs.definitions import Definitions
 from idtool.data.logs.log import Channel
 from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, RecordBatch
 from idtool.data.logs.message_options import FieldSource, MessageOptions, find_field_source
 from idtool.data.logs.payloads import sensor_decoder_for
-from idtool.data.logs.payloads.base import Decoder, FieldError, PayloadError
-from idtool.data.logs.payloads.sensor_types import SENSOR_TYPES
+from idtool.data.logs.payloads.base import Decoder, FieldError, MissingFieldError, PayloadError
+from idtool.data.logs.times import convert_to_seconds
 
+_MIN_TIMES = 16  # by which the unit of a topic's stamps is judged, which in JSON may be numbers
 _PREFIXES = ("force_", "contact_")  # that a topic may have already
 
 
@@ -37,8 +39,14 @@ class _Topic:
     decoder: Decoder
     is_addressed: bool = False  # by the fields of the joints' states
     error: LogError | None = None
+    missing_field: FieldError | None = None  # without which it is not of a sensor after all
     times: list[Array] = field(default_factory=list)
     values: list[Array] = field(default_factory=list)
+
+    @property
+    def is_empty(self) -> bool:
+        """True if it has no messages; not known of addressed fields."""
+        return not (self.times or self.is_addressed or self.missing_field)
 
 
 class SensorTopics:
@@ -95,8 +103,24 @@ class SensorTopics:
         """The topics that carry an IMU, with messages."""
         return tuple(name for name, topic in self._topics.items() if topic.times and _has_imu(topic))
 
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """Notices of topics that could not be used."""
+        notices: tuple[Notice, ...] = ()
+        empty = [name for name, topic in self._topics.items() if topic.is_empty]
+        if empty:
+            noun = "topic" if len(empty) == 1 else "topics"
+            message = f"no messages on {noun} {join_names(empty)}"
+            advice = "a sensor whose topic is empty cannot be used; log it, or leave it out of the configuration"
+            notices += (Notice("sensor_topic_empty", "note", None, message, advice),)
+        for name, topic in self._topics.items():
+            if topic.missing_field is not None:
+                message = f"topic {printable(name)} was ignored: {topic.missing_field}"
+                notices += (Notice("sensor_topic_ignored", "note", None, message),)
+        return notices
+
     def channels(self, states_topic: str) -> dict[str, Channel]:
-        """The channels by name.
+        """The channels by name; those of a topic without messages have no values.
 
         Parameters
         ----------
@@ -114,8 +138,11 @@ class SensorTopics:
                 raise topic.error
             if topic.times and (name == states_topic or not topic.is_addressed):
                 topics[name] = topic
+        empty_topics = {name: topic for name, topic in self._topics.items() if topic.is_empty}
         imus = [name for name, topic in topics.items() if _has_imu(topic)]
         imu = states_topic if self._imu is None and states_topic in imus else self._imu
+        if self._imu in empty_topics and _has_imu(empty_topics[self._imu]):
+            raise LogError(self._path, f"base.imu.topic: no messages on topic {printable(self._imu)}")
         if self._imu is not None and self._imu not in imus:
             what = f"base.imu.topic: no IMU on topic {printable(self._imu)}; {suggestion(self._imu, imus)}"
             raise LogError(self._path, what)
@@ -125,12 +152,17 @@ class SensorTopics:
         channels = {}
         for name, topic in topics.items():
             t = np.concatenate(topic.times)
+            if len(t) >= _MIN_TIMES:
+                convert_to_seconds(t)
             values = np.concatenate(topic.values)
             used_channels = [channel for channel in topic.channels if channel]
             for channel, x in zip(used_channels, values.T, strict=True):
                 is_of_other_imu = _is_of_imu(channel) and imu not in (None, name)
                 if not is_of_other_imu:
                     channels[channel] = Channel(t, np.ascontiguousarray(x))
+        for topic in empty_topics.values():
+            for channel in filter(None, topic.channels):
+                channels.setdefault(channel, Channel(np.empty(0), np.empty(0)))
         return channels
 
     def _sensor_topic(self, definition: ChannelDefinition, schema: Schema) -> _Topic | None:
@@ -138,8 +170,8 @@ class SensorTopics:
         type_name = schema.name.replace("/msg/", "/")
         decoder = sensor_decoder_for(definition.message_encoding, schema)
         if decoder is not None:
-            names = SENSOR_TYPES[type_name].channels(_channel_name(definition.topic))
-            return _Topic(type_name, names, decoder)
+            names = decoder.channels(channel_part(definition.topic))
+            return _Topic(type_name, names, decoder.decode)
         key = (definition.message_encoding, schema.id)
         if key not in self._sources:
             self._sources[key] = self._find_source(definition.message_encoding, schema)
@@ -162,12 +194,16 @@ class SensorTopics:
         try:
             decoded = topic.decoder(batch.buffer, starts, lengths)
         except PayloadError as error:
+            if isinstance(error, MissingFieldError) and not topic.is_addressed and not topic.times:
+                topic.missing_field = error.field_error
+                return
             fault = LogError(self._path, f"a message of type {printable(topic.type_name)} {error}")
             if not topic.is_addressed:
                 raise fault from None
             topic.error = fault  # it may not be the topic of the states
             return
-        log_time = heads["log_time"] / 1e9
+        seconds, nanoseconds = np.divmod(heads["log_time"], np.uint64(10**9))
+        log_time = seconds + nanoseconds / 1e9
         for piece in decoded:
             topic.times.append(np.where(piece.t == 0, log_time[piece.index], piece.t))
             used = [i for i, channel in enumerate(topic.channels) if channel]
@@ -183,7 +219,7 @@ def _has_imu(topic: _Topic) -> bool:
     return any(map(_is_of_imu, topic.channels))
 
 
-def _channel_name(topic: str) -> str:
+def channel_part(topic: str) -> str:
     """Name of a topic as part of the names of its channels."""
     name = topic.strip("/").replace("/", "_")
     for prefix in _PREFIXES:

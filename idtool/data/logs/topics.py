@@ -19,7 +19,7 @@ from idtool.data.logs.definitions import Definitions, list_topics, message_type
 from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, RecordBatch
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions, find_field_source
 from idtool.data.logs.payloads import decoder_for
-from idtool.data.logs.payloads.base import Decoder, FieldError, PayloadError
+from idtool.data.logs.payloads.base import Decoder, FieldError, MissingFieldError, PayloadError
 from idtool.data.logs.sample_buffer import SampleBuffer, Samples
 
 # Key in a channel's metadata: its messages are the commands that belong to the states of the named topic.
@@ -123,6 +123,11 @@ class TopicReader:
                     if not topic.is_fallback:
                         raise
                     topic.decoding_error = error
+                    self._channels[channel_id] = (name, None)
+                    samples = []
+                except FieldError as error:
+                    topic.field_error = topic.field_error or error
+                    topic.has_joint_states = False
                     self._channels[channel_id] = (name, None)
                     samples = []
                 if topic.positions < _MIN_POSITIONS:
@@ -283,13 +288,19 @@ class TopicReader:
     def _decode(
         self, name: str, decoder: Decoder, batch: RecordBatch, heads: NDArray[np.void], index: Indices
     ) -> list[Samples]:
-        """The samples of the messages of a batch at ``index``; those without a stamp get their log time."""
+        """The samples of the messages of a batch at ``index``; those without a stamp get their log time.
+
+        FieldError if the first message lacks a field, which its definition did not tell.
+        """
         heads = heads[index]
         starts = batch.messages[index] + HEAD.itemsize
         lengths = heads["length"].astype(np.intp) - MESSAGE_FIELDS
         try:
             decoded = decoder(batch.buffer, starts, lengths)
         except PayloadError as error:
+            is_first = self._topics[name].messages + error.index == 0
+            if isinstance(error, MissingFieldError) and is_first:
+                raise error.field_error from None
             number = self._topics[name].messages + error.index + 1
             raise LogError(self._path, f"message {number} of {printable(name)} {error}") from None
         seconds, nanoseconds = np.divmod(heads["log_time"], np.uint64(10**9))

@@ -1,8 +1,8 @@
 """Decoders of message payloads. A new encoding is one new file in this folder.
 
 A member defines `ENCODING`, the message encoding that it reads, and functions that return decoders of a channel's
-messages: `decoder` for joint states, `text` for messages that are a single text, `sensor` for those of `sensor_types`,
-and `fields` for addressed fields of any messages.
+messages: `decoder` for joint states, `text` for messages that are a single text, `sensor` for an IMU, wrenches and
+flags, and `fields` for addressed fields of any messages.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Protocol, cast
 
 from idtool.common.names import printable
-from idtool.data.logs.payloads.base import Decoder, FieldDecoders, FieldError, MessageFields, TextDecoder
+from idtool.data.logs.payloads.base import Decoder, FieldDecoders, FieldError, MessageFields, SensorDecoder, TextDecoder
 
 if TYPE_CHECKING:
     from mcap.records import Schema
@@ -26,7 +26,7 @@ class _Encoding(Protocol):
 
     def text(self, schema: Schema) -> TextDecoder | None: ...
 
-    def sensor(self, schema: Schema) -> Decoder | None: ...
+    def sensor(self, schema: Schema) -> SensorDecoder | None: ...
 
     def fields(self, schema: Schema, fields: MessageFields) -> FieldDecoders: ...
 
@@ -43,8 +43,8 @@ def text_decoder_for(encoding: str, schema: Schema) -> TextDecoder | None:
     return member.text(schema) if member else None
 
 
-def sensor_decoder_for(encoding: str, schema: Schema) -> Decoder | None:
-    """The decoder of a channel's messages; None unless they are of `sensor_types` in a supported encoding."""
+def sensor_decoder_for(encoding: str, schema: Schema) -> SensorDecoder | None:
+    """The decoder of a channel's messages; None unless they are those of a sensor in a supported encoding."""
     member = _encodings().get(encoding)
     return member.sensor(schema) if member else None
 

@@ -57,6 +57,24 @@ class FieldError(ValueError):
         super().__init__(message)
 
 
+class MissingFieldError(PayloadError):
+    """A message without an addressed field that its definition, which is incomplete, does not rule out.
+
+    Parameters
+    ----------
+    index
+        Its index among the messages given to the decoder.
+    what
+        What it has not.
+    closeness
+        As of a `FieldError`.
+    """
+
+    def __init__(self, index: int, what: str, closeness: float) -> None:
+        self.field_error = FieldError(f"its messages have no {what}", closeness)
+        super().__init__(index, f"has no {what}")
+
+
 @dataclass(frozen=True)
 class MessageFields:
     """Fields to read from messages that are not joint states, and the joints in the order of their index.
@@ -97,12 +115,32 @@ class FieldDecoders:
     channels: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class SensorDecoder:
+    """Decoder of the messages of a sensor.
+
+    Attributes
+    ----------
+    decode
+        The decoder, whose numbers are the signal ``sensor``.
+    numbers
+        Channel of each number, in which {} stands for the name of the topic; empty: the number is not read.
+    """
+
+    decode: Decoder
+    numbers: tuple[str, ...]
+
+    def channels(self, topic: str) -> tuple[str, ...]:
+        """Channel of each number of a topic's messages; empty: the number is not read."""
+        return tuple(number.format(topic) for number in self.numbers)
+
+
 class JointState(NamedTuple):
     """One message: time [s], joint names, and the values of each signal, empty if missing."""
 
     t: float
     joints: tuple[str, ...]
-    values: tuple[Sequence[float], ...]  # in the order of `SIGNALS`
+    values: tuple[Sequence[float], ...]  # in the order of the signals
 
 
 def check_names(joints: Sequence[str]) -> None:
@@ -114,15 +152,22 @@ def check_names(joints: Sequence[str]) -> None:
         raise ValueError("has a joint name with characters that cannot be printed")
 
 
-def check_counts(joints: int, counts: Sequence[int]) -> None:
+def check_counts(joints: int, counts: Sequence[int], fields: Sequence[str] = tuple(SIGNALS)) -> None:
     """Raise ValueError if a signal has values, but not one for each joint."""
-    for field, count in zip(SIGNALS, counts, strict=True):
+    for field, count in zip(fields, counts, strict=True):
         if count not in (0, joints):
             raise ValueError(f"has {joints} names and {count} values of {field}")
 
 
-def group_states(states: Sequence[JointState]) -> list[Samples]:
+def group_states(states: Sequence[JointState], fields: Mapping[str, str] = SIGNALS) -> list[Samples]:
     """Joint states as arrays, those with the same joints and signals together.
+
+    Parameters
+    ----------
+    states
+        The joint states.
+    fields
+        The messages' name of each signal to that of the log, in the order of the values.
 
     Raises
     ------
@@ -136,18 +181,18 @@ def group_states(states: Sequence[JointState]) -> list[Samples]:
     for (joints, counts), index in groups.items():
         try:
             check_names(joints)
-            check_counts(len(joints), counts)
+            check_counts(len(joints), counts, tuple(fields))
         except ValueError as error:
             raise PayloadError(index[0], error) from None
         signals = {}
-        for k, signal in enumerate(SIGNALS.values()):
+        for k, signal in enumerate(fields.values()):
             if counts[k]:
-                signals[signal] = _array([states[i].values[k] for i in index], index)
+                signals[signal] = number_array([states[i].values[k] for i in index], index)
         samples.append(Samples(np.array(index), np.array([states[i].t for i in index]), joints, signals))
     return samples
 
 
-def _array(rows: Sequence[Sequence[float]], index: Sequence[int]) -> Array:
+def number_array(rows: Sequence[Sequence[float]], index: Sequence[int]) -> Array:
     """Values of several messages, shape (k, nj); PayloadError for the first message whose values are no numbers."""
     try:
         array = np.array(rows, dtype=np.float64)
@@ -157,4 +202,4 @@ def _array(rows: Sequence[Sequence[float]], index: Sequence[int]) -> Array:
         return array
     if len(rows) == 1:
         raise PayloadError(index[0], "has values that are not numbers")
-    return np.concatenate([_array([row], [i]) for row, i in zip(rows, index, strict=True)])
+    return np.concatenate([number_array([row], [i]) for row, i in zip(rows, index, strict=True)])

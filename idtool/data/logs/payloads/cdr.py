@@ -20,6 +20,7 @@ from idtool.data.logs.payloads.base import (
     Decoder,
     FieldDecoders,
     MessageFields,
+    SensorDecoder,
     TextDecoder,
     check_counts,
     check_names,
@@ -69,8 +70,8 @@ def text(schema: Schema) -> TextDecoder | None:
     return _text if schema.name.replace("/msg/", "/") == "std_msgs/String" else None
 
 
-def sensor(schema: Schema) -> Decoder | None:
-    """Decoder of messages of `sensor_types`, whose numbers are the signal ``sensor``."""
+def sensor(schema: Schema) -> SensorDecoder | None:
+    """Decoder of messages of `sensor_types`, in whatever language their schema is written."""
     sensor_type = SENSOR_TYPES.get(schema.name.replace("/msg/", "/"))
     if sensor_type is None:
         return None
@@ -80,7 +81,7 @@ def sensor(schema: Schema) -> Decoder | None:
         samples, _ = decode_by_layout(buffer, starts, lengths, layout)
         return samples
 
-    return decode
+    return SensorDecoder(decode, sensor_type.numbers)
 
 
 def fields(schema: Schema, fields: MessageFields) -> FieldDecoders:
@@ -166,6 +167,33 @@ def encode(nanoseconds: NDArray[np.int64], joints: Sequence[str], signals: Mappi
     messages[:, HEADER : HEADER + 8] = stamps.view(np.uint8)
     for signal in layout.fields:
         layout.values(messages, signal)[:] = signals[signal]
+    return messages
+
+
+def encode_sensor(sensor_type: SensorType, nanoseconds: NDArray[np.int64], numbers: Array) -> Bytes:
+    """Messages of a type of sensor in little-endian XCDR1, shape (k, L).
+
+    Parameters
+    ----------
+    sensor_type
+        The type.
+    nanoseconds
+        Header stamps [ns], shape (k,), if the type has a header; the seconds must fit 32 bits.
+    numbers
+        All numbers of the type, shape (k, n).
+    """
+    dtype = sensor_type.number_type("<")
+    template = bytearray(b"\0\1\0\0")
+    if sensor_type.has_header:
+        template += bytes(8) + struct.pack("<I", 1) + b"\0"  # an empty frame_id
+        template += bytes((HEADER - len(template)) % dtype.itemsize)
+    start = len(template)
+    template += bytes(numbers.shape[1] * dtype.itemsize)
+    messages = np.tile(np.frombuffer(bytes(template), np.uint8), (len(numbers), 1))
+    if sensor_type.has_header:
+        stamps = np.stack(np.divmod(nanoseconds, 10**9), axis=1).astype("<i4")
+        messages[:, HEADER : HEADER + 8] = stamps.view(np.uint8)
+    messages[:, start:] = np.ascontiguousarray(numbers.astype(dtype)).view(np.uint8)
     return messages
 
 

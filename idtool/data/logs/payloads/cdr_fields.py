@@ -6,7 +6,6 @@ messages of the same layout are then decoded together.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -15,20 +14,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.common.names import count_text, printable, suggestion
-from idtool.data.logs.payloads.base import STAMP_PATHS, Decoder, FieldDecoders, FieldError, MessageFields, check_names
+from idtool.common.names import count_text, printable
+from idtool.data.logs.payloads.addressed_fields import AddressedFields, find_fields
+from idtool.data.logs.payloads.base import Decoder, FieldDecoders, FieldError, MessageFields, check_names
 from idtool.data.logs.payloads.cdr_cursor import Cursor, no_stamp, stamp_seconds
 from idtool.data.logs.payloads.layout import Bytes, Layout, decode_by_layout
-from idtool.data.logs.payloads.ros2_definition import NUMBERS, TIME, Fields, Kind, parse_definition, short_type_name
+from idtool.data.logs.payloads.message_type import NUMBERS, Kind, MessageType
+from idtool.data.logs.payloads.ros2_definition import TIME, parse_definition, short_type_name
 from idtool.data.logs.sample_buffer import MAX_JOINTS, Samples
-from idtool.robot.message_fields import EACH, JOINT_NAME, STAMP, MessageField, Path, Step
+from idtool.robot.message_fields import EACH, JOINT_NAME, STAMP, Path, Step
 
 if TYPE_CHECKING:
     from mcap.records import Schema
 
 _MAX_VISITS = 1 << 14  # fields and elements of a message that are passed one by one
 _MAX_DEPTH = 32  # of types within types
-_COMPONENTS = ("x", "y", "z", "w")
 _TIME_SIZE, _TIME_ALIGNMENT = 8, 4  # bytes
 
 
@@ -44,33 +44,23 @@ def field_decoders(schema: Schema, fields: MessageFields) -> FieldDecoders:
         types = parse_definition(schema)
     except ValueError as error:
         raise FieldError(str(error)) from None
-    message_type = _MessageType(short_type_name(schema.name), types)
-    stamp = fields.stamp.path if fields.stamp else message_type.default_stamp()
-    state_paths: list[tuple[str, Path]] = []
-    sensor_paths: list[tuple[str, Path]] = []
-    thresholds: dict[str, float] = {}
-    for i, (key, entry) in enumerate(fields.entries.items()):
-        try:
-            kind = message_type.kind_at(entry.path)
-            if entry.channels:
-                sensor_paths += _channel_paths(message_type, entry, kind)
-            elif key == STAMP:
-                _check_stamp(entry, kind)
-            else:
-                _check_joint_field(key, entry, kind)
-                _check_joint_count(message_type, entry, fields.joints)
-                state_paths.append((key, entry.path))
-        except FieldError as error:
-            raise FieldError(f"log.fields.{printable(key)}: {error}", i + error.closeness) from None
-        if entry.threshold is not None:
-            thresholds[entry.channels[0]] = entry.threshold
-    channels = tuple(name for name, _ in sensor_paths)
-    if stamp is not None:
-        state_paths.append((STAMP, stamp))
-        sensor_paths.append((STAMP, stamp))
-    states = _state_decoder(message_type.reader(state_paths), fields)
-    sensors = _sensor_decoder(message_type.reader(sensor_paths), channels, thresholds)
-    return FieldDecoders(states, sensors, channels)
+    message_type = MessageType(short_type_name(schema.name), types, stamps=(TIME,))
+    found = find_fields(message_type, fields)
+    stamp = found.stamp or message_type.default_stamp()
+    stamp_paths = [] if stamp is None else [(STAMP, stamp)]
+    state_paths = [(key, field.path) for key, field in found.states.items()]
+    sensor_paths = [path for sensor in found.sensors for path in sensor.paths]
+    states = _state_decoder(_reader(message_type, state_paths + stamp_paths), fields)
+    sensors = _sensor_decoder(_reader(message_type, sensor_paths + stamp_paths), found)
+    return FieldDecoders(states, sensors, found.channels)
+
+
+def _reader(message_type: MessageType, paths: Iterable[tuple[str, Path]]) -> _Reader:
+    """Reader of the fields at some paths, by label."""
+    root = _PathNode()
+    for label, path in paths:
+        root.add(label, path)
+    return _Reader(message_type, root)
 
 
 @dataclass
@@ -85,110 +75,6 @@ class _PathNode:
         for step in path:
             node = node.children.setdefault(step, _PathNode())
         node.labels.append(label)
-
-
-@dataclass(frozen=True)
-class _MessageType:
-    """A message type: its name, and the fields of it and of all types within it."""
-
-    name: str
-    types: Mapping[str, Fields]
-
-    def kind_at(self, path: Path) -> Kind:
-        """Kind of the field at a path; FieldError if there is no such field."""
-        kind = Kind(self.name)
-        written = ""
-        for step in path:
-            if kind.is_collection:
-                if isinstance(step, str) and step != EACH:
-                    raise FieldError(f"{written} is an array; give an index, as in {written}[0]")
-                if isinstance(step, int) and kind.length is not None and step >= kind.length:
-                    raise FieldError(f"{written} has {kind.length} elements, so that there is no index {step}")
-                kind = kind.element
-                written += f"[{step}]"
-            elif isinstance(step, int) or step == EACH:
-                raise FieldError(f"{written} is not an array")
-            else:
-                kind = self._field(kind, step)
-                written = f"{written}.{step}" if written else step
-        return kind
-
-    def _field(self, kind: Kind, name: str) -> Kind:
-        fields = self._fields(kind)
-        if name not in fields:
-            is_similar = bool(difflib.get_close_matches(name, fields, n=1, cutoff=0.5))
-            what = f"{printable(kind.type_name)} has no field {name}; {suggestion(name, fields)}"
-            raise FieldError(what, closeness=0.5 if is_similar else 0.0)
-        return fields[name]
-
-    def _fields(self, kind: Kind) -> Fields:
-        if kind.is_number or kind.is_text:
-            raise FieldError(f"a {kind.type_name} has no fields")
-        if kind.type_name not in self.types:
-            raise FieldError(f"the definition of {printable(self.name)} lacks {printable(kind.type_name)}")
-        return self.types[kind.type_name]
-
-    def default_stamp(self) -> Path | None:
-        """Path of the stamp, if there is one."""
-        for path in STAMP_PATHS:
-            try:
-                if self.kind_at(path) == Kind(TIME):
-                    return path
-            except FieldError:
-                pass
-        return None
-
-    def fields_of(self, kind: Kind) -> Fields | None:
-        """The fields of a type; None if it is a number or a text, or not defined."""
-        return self.types.get(kind.type_name)
-
-    def reader(self, paths: Iterable[tuple[str, Path]]) -> _Reader:
-        """Reader of the fields at some paths, by label."""
-        root = _PathNode()
-        for label, path in paths:
-            root.add(label, path)
-        return _Reader(self, root)
-
-
-def _channel_paths(message_type: _MessageType, entry: MessageField, kind: Kind) -> list[tuple[str, Path]]:
-    """Path of the number of each channel of a field."""
-    channels = entry.channels
-    if len(channels) == 1:
-        if not kind.is_single_number:
-            raise FieldError(f"{entry.text} is not a number")
-        return [(channels[0], entry.path)]
-    steps: Sequence[Step] = range(len(channels))
-    components = _COMPONENTS[: len(channels)]
-    if kind.is_collection:
-        is_usable = kind.is_number and kind.length in (None, len(channels))
-    else:
-        fields = message_type.fields_of(kind) or {}
-        is_usable = all(name in fields and fields[name].is_single_number for name in components)
-        steps = [channel[-1] for channel in channels]
-    if not is_usable:
-        raise FieldError(f"{entry.text} is neither {len(channels)} numbers nor {', '.join(components)}")
-    return [(channel, (*entry.path, step)) for channel, step in zip(channels, steps, strict=True)]
-
-
-def _check_stamp(entry: MessageField, kind: Kind) -> None:
-    if kind != Kind(TIME):
-        raise FieldError(f"{entry.text} is not a stamp ({TIME})")
-
-
-def _check_joint_field(key: str, entry: MessageField, kind: Kind) -> None:
-    if key == JOINT_NAME and kind != Kind("string"):
-        raise FieldError(f"{entry.text} is not a text")
-    if key != JOINT_NAME and not kind.is_single_number:
-        raise FieldError(f"{entry.text} is not a number")
-
-
-def _check_joint_count(message_type: _MessageType, entry: MessageField, joints: Sequence[str | None]) -> None:
-    """Raise FieldError if an array is shorter than the list of joints."""
-    array = entry.path[: entry.path.index(EACH)]
-    length = message_type.kind_at(array).length
-    if length is not None and length < len(joints):
-        where = entry.text.partition(f"[{EACH}]")[0]
-        raise FieldError(f"{where} has {length} elements, but {len(joints)} joints are listed (log.field_joints)")
 
 
 @dataclass
@@ -206,7 +92,7 @@ class _Found:
 class _Reader:
     """Finds addressed fields in a message."""
 
-    message_type: _MessageType
+    message_type: MessageType
     root: _PathNode
 
     def find(self, cursor: Cursor) -> _Found:
@@ -325,7 +211,8 @@ def _state_layout(message: bytes, reader: _Reader, fields: MessageFields) -> Lay
     return Layout(joints, cursor.mask, signals, _stamp_function(found, cursor))
 
 
-def _sensor_decoder(reader: _Reader, channels: Sequence[str], thresholds: Mapping[str, float]) -> Decoder | None:
+def _sensor_decoder(reader: _Reader, addressed: AddressedFields) -> Decoder | None:
+    channels, thresholds = addressed.channels, addressed.thresholds
     if not channels:
         return None
     layout = partial(_sensor_layout, reader=reader, channels=channels)

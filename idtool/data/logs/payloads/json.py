@@ -1,9 +1,11 @@
-"""The fields of `sensor_msgs/msg/JointState` and `std_msgs/msg/String` as JSON."""
+"""Messages as JSON: the fields of joint states, of `std_msgs/msg/String`, of sensors, and addressed fields of any."""
 
 from __future__ import annotations
 
 import json
 from typing import TYPE_CHECKING, Any
+
+from typing_extensions import override
 
 from idtool.common.arrays import Indices
 from idtool.common.names import printable
@@ -14,14 +16,18 @@ from idtool.data.logs.payloads.base import (
     STAMP_PATHS,
     Decoder,
     FieldDecoders,
-    FieldError,
     JointState,
     MessageFields,
     PayloadError,
+    SensorDecoder,
     TextDecoder,
     group_states,
 )
+from idtool.data.logs.payloads.field_values import MessageReader, field_decoders
+from idtool.data.logs.payloads.json_schema import parse_schema
+from idtool.data.logs.payloads.sensor_shapes import find_sensor
 from idtool.data.logs.sample_buffer import Samples
+from idtool.robot.message_fields import Step
 
 if TYPE_CHECKING:
     from mcap.records import Schema
@@ -47,14 +53,36 @@ def text(schema: Schema) -> TextDecoder | None:
     return _text if "data" in properties or (not properties and schema.name.endswith("String")) else None
 
 
-def sensor(schema: Schema) -> Decoder | None:
-    """Sensors are read in CDR only."""
-    return None
+def sensor(schema: Schema) -> SensorDecoder | None:
+    """Decoder of messages with the fields of a sensor, or of such a type if the schema names no fields."""
+    return find_sensor(parse_schema(schema.name, schema.data), _Reader())
 
 
 def fields(schema: Schema, fields: MessageFields) -> FieldDecoders:
-    """Fields are addressed in CDR only."""
-    raise FieldError(f"log.fields are read in messages in CDR, not in {ENCODING}")
+    """Decoders of the addressed fields of any message; FieldError if its schema rules one of them out."""
+    return field_decoders(_Reader(), parse_schema(schema.name, schema.data), fields)
+
+
+class _Reader(MessageReader):
+    @override
+    def parse(self, buffer: bytes, starts: Indices, lengths: Indices) -> list[Any]:
+        return _parse(buffer, starts, lengths)
+
+    @override
+    def value(self, outer: Any, step: Step) -> Any:
+        return outer[step]
+
+    @override
+    def is_object(self, value: Any) -> bool:
+        return isinstance(value, dict)
+
+    @override
+    def stamp_seconds(self, stamp: Any) -> float:
+        return _seconds_of(stamp)
+
+    @override
+    def default_seconds(self, index: int, message: Any) -> float:
+        return _seconds(index, message)
 
 
 def _properties(schema: Schema) -> Any:
@@ -73,6 +101,10 @@ def _text(message: bytes) -> bytes:
 
 
 def _decode(buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
+    return group_states([_state(i, message) for i, message in enumerate(_parse(buffer, starts, lengths))])
+
+
+def _parse(buffer: bytes, starts: Indices, lengths: Indices) -> list[Any]:
     texts = [buffer[start : start + size] for start, size in zip(starts.tolist(), lengths.tolist(), strict=True)]
     try:
         messages = json.loads(b"[%b]" % b",".join(texts))  # faster than one call for each
@@ -80,7 +112,7 @@ def _decode(buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
         messages = []
     if len(messages) != len(texts):
         messages = [_load(i, text) for i, text in enumerate(texts)]
-    return group_states([_state(i, message) for i, message in enumerate(messages)])
+    return list(messages)
 
 
 def _load(i: int, text: bytes) -> Any:
@@ -111,17 +143,20 @@ def _seconds(i: int, message: Any) -> float:
             stamp = stamp.get(field) if isinstance(stamp, dict) else None
         if stamp:
             try:
-                return float(stamp if isinstance(stamp, int | float) else _stamp_seconds(stamp))
+                return _seconds_of(stamp)
             except (TypeError, OverflowError):
                 message_text = f"has a {'.'.join(path)} that is neither a number nor {{sec, nanosec}}"
                 raise PayloadError(i, f"{message_text}: {printable(str(stamp))}") from None
     return 0.0
 
 
-def _stamp_seconds(stamp: Any) -> Any:
+def _seconds_of(stamp: Any) -> float:
+    """Seconds of a stamp; TypeError if it is none."""
+    if isinstance(stamp, int | float):
+        return float(stamp)
     if not any(name in stamp for name in (*SECONDS, *NANOSECONDS)):
         raise TypeError
-    return _first_value(stamp, SECONDS) + _first_value(stamp, NANOSECONDS) / 1e9
+    return float(_first_value(stamp, SECONDS) + _first_value(stamp, NANOSECONDS) / 1e9)
 
 
 def _first_value(stamp: Any, names: tuple[str, ...]) -> Any:

@@ -1,4 +1,6 @@
-"""The fields of `sensor_msgs/msg/JointState` and `std_msgs/msg/String` in protobuf, whatever their numbers.
+"""Messages in protobuf: the fields of joint states, of `std_msgs/msg/String`, of sensors, and addressed fields of any.
+
+Fields are found by their names, whatever their numbers.
 
 Joint states with packed doubles or floats, as proto3 writes them, are decoded by layout, many at once: 4 to 6 times
 as fast as google.protobuf, which decodes all others one by one.
@@ -14,8 +16,10 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from typing_extensions import override
 
 from idtool.common.arrays import Indices
+from idtool.common.names import printable
 from idtool.data.logs.payloads.base import (
     NANOSECONDS,
     SECONDS,
@@ -27,12 +31,17 @@ from idtool.data.logs.payloads.base import (
     JointState,
     MessageFields,
     PayloadError,
+    SensorDecoder,
     TextDecoder,
     group_states,
 )
+from idtool.data.logs.payloads.field_values import MessageReader, field_decoders
 from idtool.data.logs.payloads.layout import decode_by_layout
+from idtool.data.logs.payloads.message_type import Fields, Kind, MessageType
+from idtool.data.logs.payloads.sensor_shapes import find_sensor
 from idtool.data.logs.payloads.wire import FieldPlan, layout_of
 from idtool.data.logs.sample_buffer import Samples
+from idtool.robot.message_fields import Path, Step
 
 if TYPE_CHECKING:
     from google.protobuf.descriptor import Descriptor
@@ -45,7 +54,15 @@ ENCODING = "protobuf"
 _FLOATS = {1: np.dtype("<f8"), 2: np.dtype("<f4")}  # double, float
 _INTEGERS = (3, 4, 5, 13)  # int64, uint64, int32, uint32
 _STRING, _MESSAGE = 9, 11
+_TYPE_NAMES = {
+    **{1: "float64", 2: "float32", 8: "bool", _STRING: "string"},
+    **dict.fromkeys((3, 16, 18), "int64"),
+    **dict.fromkeys((4, 6), "uint64"),
+    **dict.fromkeys((5, 14, 15, 17), "int32"),  # enumerations among them
+    **dict.fromkeys((7, 13), "uint32"),
+}
 _REPEATED = 3
+_SENSOR_FIELDS = (b"angular_velocity", b"force", b"data")  # one of which a sensor has
 
 
 def decoder(schema: Schema) -> Decoder | None:
@@ -80,14 +97,99 @@ def text(schema: Schema) -> TextDecoder | None:
     return decode
 
 
-def sensor(schema: Schema) -> Decoder | None:
-    """Sensors are read in CDR only."""
-    return None
+def sensor(schema: Schema) -> SensorDecoder | None:
+    """Decoder of messages with the fields of a sensor."""
+    descriptor = _descriptor(schema) if any(field in schema.data for field in _SENSOR_FIELDS) else None
+    if descriptor is None:
+        return None
+    message_type = _message_type(descriptor)
+    return find_sensor(message_type, _Reader(descriptor, message_type.default_stamp()))
 
 
 def fields(schema: Schema, fields: MessageFields) -> FieldDecoders:
-    """Fields are addressed in CDR only."""
-    raise FieldError(f"log.fields are read in messages in CDR, not in {ENCODING}")
+    """Decoders of the addressed fields of any message; FieldError if its schema lacks one of them."""
+    descriptor = _descriptor(schema)
+    if descriptor is None:
+        raise FieldError(f"the definition of {printable(schema.name)} cannot be read")
+    message_type = _message_type(descriptor)
+    return field_decoders(_Reader(descriptor, message_type.default_stamp()), message_type, fields)
+
+
+class _Reader(MessageReader):
+    def __init__(self, descriptor: Descriptor, stamp: Path | None) -> None:
+        from google.protobuf.message_factory import GetMessageClass
+
+        self._message_class = GetMessageClass(descriptor)
+        self._stamp = stamp
+
+    @override
+    def parse(self, buffer: bytes, starts: Indices, lengths: Indices) -> list[Any]:
+        from google.protobuf.message import DecodeError
+
+        messages: list[Any] = []
+        for start, size in zip(starts.tolist(), lengths.tolist(), strict=True):
+            try:
+                messages.append(self._message_class.FromString(buffer[start : start + size]))
+            except (DecodeError, TypeError, ValueError) as error:
+                raise PayloadError(len(messages), f"does not match its schema: {error}") from None
+        return messages
+
+    @override
+    def value(self, outer: Any, step: Step) -> Any:
+        if isinstance(step, int):
+            return outer[step]
+        inner = getattr(outer, step)
+        is_left_open = self.is_object(inner) and not outer.HasField(step)
+        return None if is_left_open else inner
+
+    @override
+    def is_object(self, value: Any) -> bool:
+        from google.protobuf.message import Message
+
+        return isinstance(value, Message)
+
+    @override
+    def stamp_seconds(self, stamp: Any) -> float:
+        if stamp is None:
+            return 0.0
+        if isinstance(stamp, int | float):
+            return float(stamp)
+        return float(_first_part(stamp, SECONDS) + _first_part(stamp, NANOSECONDS) / 1e9)
+
+    @override
+    def default_seconds(self, index: int, message: Any) -> float:
+        return 0.0 if self._stamp is None else self.stamp_seconds(self.value_at(message, self._stamp))
+
+
+def _first_part(stamp: Any, names: Sequence[str]) -> Any:
+    """The first of the named fields that a stamp has; 0 if it has none."""
+    for name in names:
+        if hasattr(stamp, name):
+            return getattr(stamp, name)
+    return 0
+
+
+def _message_type(descriptor: Descriptor) -> MessageType:
+    """The fields of a type and of all types within it."""
+    types: dict[str, Fields] = {}
+    pending = [descriptor]
+    while pending:
+        message = pending.pop()
+        if message.full_name in types:
+            continue
+        fields: dict[str, Kind] = {}
+        for name, field in _fields(message).items():
+            is_repeated = field.label == _REPEATED
+            inner = message.fields_by_name[name].message_type
+            if inner is None:
+                fields[name] = Kind(_TYPE_NAMES.get(field.type, "bytes"), is_repeated)
+            elif inner.GetOptions().map_entry:
+                fields[name] = Kind("map")
+            else:
+                fields[name] = Kind(inner.full_name, is_repeated)
+                pending.append(inner)
+        types[message.full_name] = fields
+    return MessageType(descriptor.full_name, types)
 
 
 def _descriptor(schema: Schema) -> Descriptor | None:

@@ -6,79 +6,19 @@ Source: docs.ros.org, Interfaces; mcap.dev/spec/registry, ros2msg
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from idtool.common.names import printable
+from idtool.data.logs.payloads.message_type import MAX_DEFINITION_BYTES, NUMBERS, TEXTS, Fields, Kind
 
 if TYPE_CHECKING:
     from mcap.records import Schema
 
-NUMBERS = {
-    "bool": "u1",
-    "byte": "u1",
-    "char": "u1",
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "int64": "i8",
-    "uint64": "u8",
-    "float32": "f4",
-    "float64": "f8",
-}
 TIME = "builtin_interfaces/Time"
 
-_TEXTS = ("string", "wstring")
-_MAX_BYTES = 1 << 20  # of a definition
 _SEPARATOR = re.compile(r"^={3,}[ \t\r]*\n", re.MULTILINE)
 _TYPE_LINE = re.compile(r"MSG:\s*(\S+)")
 _FIELD = re.compile(r"([A-Za-z][\w/]*)(?:<=\d+)?(\[(?:<=)?(\d*)\])?\s+([A-Za-z]\w*)(\s*=)?.*")
-
-
-@dataclass(frozen=True)
-class Kind:
-    """Kind of a field: its type, and whether it is a single value, an array or a sequence.
-
-    Attributes
-    ----------
-    type_name
-        A key of `NUMBERS`, ``string``, ``wstring``, or the name of a message type with its package.
-    is_collection
-        True for arrays and sequences of it.
-    length
-        Length of an array; None for a sequence, whose length is in the message, and for a single value.
-    """
-
-    type_name: str
-    is_collection: bool = False
-    length: int | None = None
-
-    @property
-    def is_number(self) -> bool:
-        """True for numbers, alone or in a collection."""
-        return self.type_name in NUMBERS
-
-    @property
-    def is_single_number(self) -> bool:
-        """True for a number that is in no array."""
-        return self.is_number and not self.is_collection
-
-    @property
-    def is_text(self) -> bool:
-        """True for texts, alone or in a collection."""
-        return self.type_name in _TEXTS
-
-    @property
-    def element(self) -> Kind:
-        """An element of the collection."""
-        return Kind(self.type_name)
-
-
-Fields = Mapping[str, Kind]  # by name, in order
 _TIME_FIELDS: Fields = {"sec": Kind("int32"), "nanosec": Kind("uint32")}
 
 
@@ -103,8 +43,8 @@ def parse_definition(schema: Schema) -> dict[str, Fields]:
         )
     if schema.encoding != "ros2msg":
         raise ValueError(f"the definition of {printable(name)} is {printable(schema.encoding)}; only ros2msg is read")
-    if len(schema.data) > _MAX_BYTES:
-        raise ValueError(f"the definition of {printable(name)} is longer than {_MAX_BYTES >> 20} MiB")
+    if len(schema.data) > MAX_DEFINITION_BYTES:
+        raise ValueError(f"the definition of {printable(name)} is longer than {MAX_DEFINITION_BYTES >> 20} MiB")
     types: dict[str, Fields] = {TIME: _TIME_FIELDS, "builtin_interfaces/Duration": _TIME_FIELDS}
     for i, text in enumerate(_SEPARATOR.split(schema.data.decode(errors="replace"))):
         type_name, body = name, text
@@ -145,7 +85,7 @@ def _parse_fields(type_name: str, body: str) -> Fields:
 
 
 def _full_type_name(written: str, package: str) -> str:
-    if written in NUMBERS or written in _TEXTS:
+    if written in NUMBERS or written in TEXTS:
         return written
     if written == "Header":
         return "std_msgs/Header"

@@ -1,4 +1,4 @@
-"""Messages of sensors that are of no joint: the numbers in each, and the channels that they become.
+"""Messages in CDR of sensors that are of no joint: the numbers in each, and the channels that they become.
 
 Source: the ROS 2 packages sensor_msgs, geometry_msgs and std_msgs.
 """
@@ -20,6 +20,8 @@ class SensorType:
 
     Attributes
     ----------
+    definition
+        Its definition.
     has_header
         True if it begins with a stamp and the name of a frame.
     numbers
@@ -28,6 +30,7 @@ class SensorType:
         Type of the numbers, without byte order.
     """
 
+    definition: str
     has_header: bool
     numbers: tuple[str, ...]
     dtype: str = "f8"
@@ -45,8 +48,27 @@ def _named(pattern: str, parts: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{pattern}{part}" for part in parts)
 
 
+_SEPARATOR = "=" * 80 + "\n"
+_HEADER = (
+    f"{_SEPARATOR}MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    f"{_SEPARATOR}MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+)
+_VECTOR = f"{_SEPARATOR}MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
+_IMU = (
+    "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
+    "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
+    "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n"
+    f"{_HEADER}{_SEPARATOR}MSG: geometry_msgs/Quaternion\n"
+    f"float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n{_VECTOR}"
+)
+_WRENCH = (
+    f"std_msgs/Header header\ngeometry_msgs/Wrench wrench\n{_HEADER}"
+    f"{_SEPARATOR}MSG: geometry_msgs/Wrench\ngeometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n{_VECTOR}"
+)
+
 SENSOR_TYPES = {
     "sensor_msgs/Imu": SensorType(
+        definition=_IMU,
         has_header=True,
         numbers=(
             *_named("imu_q", _QUATERNION),
@@ -58,7 +80,9 @@ SENSOR_TYPES = {
         ),
     ),
     "geometry_msgs/WrenchStamped": SensorType(
-        has_header=True, numbers=(*_named("force_{}_", _AXES), *_named("force_{}_m", _AXES))
+        definition=_WRENCH,
+        has_header=True,
+        numbers=(*_named("force_{}_", _AXES), *_named("force_{}_m", _AXES)),
     ),
-    "std_msgs/Bool": SensorType(has_header=False, numbers=("contact_{}",), dtype="u1"),
+    "std_msgs/Bool": SensorType(definition="bool data\n", has_header=False, numbers=("contact_{}",), dtype="u1"),
 }
