@@ -56,6 +56,30 @@ def _svd(matrix: Array, full: bool) -> tuple[Array, Array, Array]:
     return np.asarray(U), np.asarray(s), np.asarray(Vt)
 
 
+def least_squares(matrix: Array, right: Array, rcond: float) -> tuple[Array, int]:
+    """Least-squares solution of smallest norm for any finite matrix, and the matrix's rank.
+
+    LAPACK's fast routine, gelsd, gives up on the same matrices as gesdd; its slow one, gelss, does not.
+
+    Parameters
+    ----------
+    matrix, right
+        Shape (n, m), and (n,) or (n, k).
+    rcond
+        Ratio to the largest singular value, up to which one counts as 0.
+
+    Returns
+    -------
+    Shape (m,) or (m, k), and the rank.
+    """
+    try:
+        solution, _, rank, _ = np.linalg.lstsq(matrix, right, rcond=rcond)
+        return solution, int(rank)
+    except np.linalg.LinAlgError:
+        robust_solution, _, robust_rank, _ = scipy.linalg.lstsq(matrix, right, cond=rcond, lapack_driver="gelss")
+        return np.asarray(robust_solution), int(robust_rank)
+
+
 def null_space(matrix: ArrayLike) -> Array:
     """Basis N of the null space of a matrix: orthonormal columns with matrix @ N = 0.
 

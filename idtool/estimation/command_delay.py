@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar, nnls
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
-from idtool.common.linear_algebra import svd
+from idtool.common.linear_algebra import least_squares, svd
 from idtool.common.notice import Notice
 from idtool.data.controller import MAX_DELAY
 from idtool.data.signals import Signals
@@ -430,8 +430,8 @@ def _least_squares(Y: Array, right: Array) -> tuple[Array, int]:
     """The shortest least-squares solution in units of the columns, and the rank of Y."""
     size = np.linalg.norm(Y, axis=0)
     size[size == 0] = 1.0
-    z, _, rank, _ = np.linalg.lstsq(Y / size, right, rcond=_RANK)
-    return z / size, int(rank)
+    z, rank = least_squares(Y / size, right, _RANK)
+    return z / size, rank
 
 
 def _projected_out(rows: Array, Y: Array) -> Array:

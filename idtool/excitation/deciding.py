@@ -23,6 +23,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError, IdtoolError
+from idtool.common.linear_algebra import least_squares
 from idtool.data.signals import Batch, Signals, default_cutoff
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
@@ -217,7 +218,7 @@ def _residual(parts: Sequence[Array], columns: Indices, target: int) -> list[Arr
     norms = np.linalg.norm(X, axis=0)
     norms[norms == 0] = 1.0
     X = X / norms
-    solution = np.linalg.lstsq(X, rows[:, target], rcond=_RANK)[0]
+    solution = least_squares(X, rows[:, target], _RANK)[0]
     remaining = rows[:, target] - X @ solution
     return np.split(remaining, np.cumsum([len(part) for part in parts])[:-1])
 

@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from idtool.common.linear_algebra import null_space, right_singular_vectors, svd
+from idtool.common.linear_algebra import least_squares, null_space, right_singular_vectors, svd
 
 
 @pytest.mark.parametrize("shape", [(7, 4), (4, 7), (5, 5)])
@@ -31,6 +31,22 @@ def test_a_decomposition_is_one(
     np.testing.assert_allclose(values, s, atol=1e-12)
     np.testing.assert_allclose(V @ V.T, np.eye(m), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(matrix @ V.T, axis=0), np.pad(s, (0, m - len(s))), atol=1e-12)
+
+
+@pytest.mark.parametrize("gives_up", [False, True])
+def test_least_squares_is_the_shortest_solution(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, gives_up: bool
+) -> None:
+    def raises(*_: object, **__: object) -> None:
+        raise np.linalg.LinAlgError("SVD did not converge in Linear Least Squares")
+
+    matrix = rng.normal(size=(9, 3)) @ rng.normal(size=(3, 5))
+    right = rng.normal(size=9)
+    if gives_up:
+        monkeypatch.setattr(np.linalg, "lstsq", raises)
+    solution, rank = least_squares(matrix, right, 1e-10)
+    assert rank == 3
+    np.testing.assert_allclose(solution, np.linalg.pinv(matrix, rcond=1e-10) @ right, atol=1e-12)
 
 
 def test_a_tall_matrix_takes_memory_in_proportion_to_its_size(rng: np.random.Generator) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import SolverError
+from idtool.common.linear_algebra import least_squares
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.effects import build_effects, effect_types
 from idtool.dynamics.effects.joint_effect import JointEffect
@@ -187,7 +188,7 @@ class ReducedSample:
             Y, torques = factor.R[:, :-nv], factor.R[:, -nv:]
             size = np.linalg.norm(Y, axis=0)
             size[size == 0] = 1.0
-            rest = torques - Y / size @ np.linalg.lstsq(Y / size, torques, rcond=_RANK)[0]
+            rest = torques - Y / size @ least_squares(Y / size, torques, _RANK)[0]
             powers.append((rest.T @ rest, torques.T @ torques))
         return powers
 

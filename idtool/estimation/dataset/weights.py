@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.linear_algebra import least_squares
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Factor, Reduction
@@ -66,10 +67,10 @@ def free_noise(model: LinearModel, reduction: Reduction, equalities: EqualityCon
         Y = rows[:, :-1] @ K
         size = np.linalg.norm(Y, axis=0)
         size[size == 0] = 1.0
-        z, _, rank, _ = np.linalg.lstsq(Y / size, rows[:, -1], rcond=_RANK)
+        z, rank = least_squares(Y / size, rows[:, -1], _RANK)
         independent = sum(factor.independent for factor in reduction)
         theta = K @ (z / size) if independent >= 2 * rank else np.zeros(len(K))
-        share = freedom_left(reduction, int(rank))
+        share = freedom_left(reduction, rank)
         joints = zip(reduction, model.active(), strict=True)
         sigma = np.array([residual_noise(factor, theta[columns], share) for factor, columns in joints])
     return sigma

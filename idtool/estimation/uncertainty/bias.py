@@ -16,6 +16,7 @@ from scipy import stats
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ModelError
+from idtool.common.linear_algebra import least_squares
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
@@ -138,7 +139,7 @@ def _first_stage(stacked: Reduction) -> list[Array]:
         Z, Y = np.split(factor.R[:, :-1], 2, axis=1)
         size = np.linalg.norm(Z, axis=0)
         size[size == 0] = 1.0
-        coefficients.append(np.linalg.lstsq(Z / size, Y, rcond=_RANK)[0] / size[:, None])
+        coefficients.append(least_squares(Z / size, Y, _RANK)[0] / size[:, None])
     return coefficients
 
 
