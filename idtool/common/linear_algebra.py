@@ -74,7 +74,7 @@ def least_squares(matrix: Array, right: Array, rcond: float) -> tuple[Array, int
     """
     try:
         solution, _, rank, _ = np.linalg.lstsq(matrix, right, rcond=rcond)
-        return solution, int(rank)
+        return np.asarray(solution, dtype=np.float64), int(rank)
     except np.linalg.LinAlgError:
         robust_solution, _, robust_rank, _ = scipy.linalg.lstsq(matrix, right, cond=rcond, lapack_driver="gelss")
         return np.asarray(robust_solution), int(robust_rank)
