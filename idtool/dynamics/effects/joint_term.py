@@ -272,15 +272,16 @@ def linear_probe(effect: JointEffect, summary: DataSummary, joint: int, nonlinea
     count = len(effect.coefficients)
 
     def columns(motion: Motion, linearized: Linearization) -> Mapping[int, Array]:
-        out = [np.empty((count if j == joint else 0, len(motion.t))) for j in range(len(motion.q))]
+        out = [np.empty((len(active), len(motion.t))) for active in effect.active]
         effect.columns(motion, out)
-        return {joint: out[joint]}
+        return {row: own for row, own in enumerate(out) if len(own)}
 
     def to_entry(c: Array, information: Array) -> EffectEntry:
         parameters = effect.parameters(c, np.full((count, count), np.inf))
         values = {name: value for name, (value, _) in parameters.items()}
         return effect.to_entry(summary.model, joint, {**values, **nonlinear_values})
 
+    is_on_one_row = sum(len(active) > 0 for active in effect.active) == 1
     of_few_values = [parameter.name for parameter in effect.nonlinear_parameters if parameter.choices]
     fitted = [name for name in nonlinear_values if name not in of_few_values]
     return Probe(
@@ -294,5 +295,5 @@ def linear_probe(effect: JointEffect, summary: DataSummary, joint: int, nonlinea
         lower=tuple(c.lower for c in effect.coefficients),
         upper=tuple(c.upper for c in effect.coefficients),
         parameter_count=count + len(fitted),
-        column_key=effect.column_key,
+        column_key=effect.column_key if is_on_one_row else None,
     )
