@@ -26,7 +26,7 @@ def entry(inverse_ratio: float) -> EffectEntry:
     return EffectEntry(effect="rotor_inertia", joint=JOINT, parameters=parameters)
 
 
-def test_torque_is_that_of_a_spinning_body_less_one_that_is_fixed_to_its_carrier(tmp_path: Path, rng: Generator) -> None:
+def test_torque_is_that_of_a_spinning_body_less_that_of_one_at_rest(tmp_path: Path, rng: Generator) -> None:
     """The rotor as a body of its own, whose spin agrees with MuJoCo in the benchmarks' quadruped."""
     robot = true_quadruped(0)
 

@@ -106,7 +106,7 @@ def test_known_bodies_have_no_columns_and_their_torque_is_subtracted(tmp_path: P
     friction = EffectEntry(effect="coulomb_friction", joint=JOINTS[0], parameters={"coulomb": 0.1})
     free = equation_of(tmp_path, rng, friction)
     for equation in (free, replace(free, contacts=None)):
-        count = len(equation.coefficients) - 1  # of the bodies
+        count = len(equation.effects[0].coefficients)  # of the bodies
         known = equation.prior[:count] * rng.uniform(0.5, 1.5, count)
         with_known = replace(equation, known_bodies=known)
         batch = Batch(steady_motion(rng), 0, 0, LowPass(40.0, 4, STEP, 5))
