@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +41,19 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Recording:
-    """Channels as logged, by their column's name, shape (N,)."""
+    """A motion as logged, and as it was.
+
+    Attributes
+    ----------
+    columns
+        Channels as logged, by their column's name, shape (N,).
+    truth
+        What no sensor measures: ``position`` of the base, shape (N, 3) [m], its rotation ``R`` to the world, shape
+        (N, 3, 3), and the way ``slip`` that each foot has slipped so far, shape (N, feet) [m].
+    """
 
     columns: Mapping[str, Array]
+    truth: Mapping[str, Array] = field(default_factory=dict)
 
 
 def record(
@@ -116,7 +126,7 @@ def _steps(plant: Plant, tau: Array, count: int) -> _HalfSample:
 
 def _state(plant: Plant) -> dict[str, Any]:
     position, R = plant.base
-    return {"q": plant.q.copy(), "v": plant.v.copy(), "position": position, "R": R}
+    return {"q": plant.q.copy(), "v": plant.v.copy(), "position": position, "R": R, "slip": plant.slip}
 
 
 def _measured(robot: Robot, states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recording:
@@ -158,7 +168,8 @@ def _measured(robot: Robot, states: Mapping[str, Array], sensors: Sensors, seed:
     for k, (joint, offset) in enumerate(robot.wrench_sensors.items()):
         columns |= _wrench_columns(joint, states["sensor_wrenches"][:, k] + offset, sensors, rng)
     columns["contact_rope"] = np.full(count, float(np.all(states["wrenches"] == 0)))
-    return Recording(columns)
+    truth = {name: states[name] for name in ("position", "R", "slip")}
+    return Recording(columns, truth)
 
 
 def _wrench_columns(name: str, wrench: Array, sensors: Sensors, rng: np.random.Generator) -> dict[str, Array]:

@@ -32,6 +32,7 @@ from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks
 from idtool.estimation.dataset.contact_detection import is_foot, with_detected_contacts
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.imu_delay import with_imu_delay
+from idtool.estimation.dataset.kinematic_checks import kinematic_notices
 from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.estimation.dataset.weights import initial_row_noise
 from idtool.estimation.dataset.wrench_sensor_sign import sign_notices
@@ -113,7 +114,7 @@ class Experiment:
             notices.append(Notice("contacts_not_simulated", "note", None, message))
         for run in self.runs:
             for notice in (*run.signals.log.notices, *run.signals.notices):
-                notices.append(notice.about(run.signals.log.path.name) if len(self.runs) > 1 else notice)
+                notices.append(notice.in_log(run.signals.log.path.name) if len(self.runs) > 1 else notice)
         return tuple(notices)
 
     def _same_recording_notices(self) -> Iterator[Notice]:
@@ -373,6 +374,7 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
     signals = Signals(log, model.joint_names, config, base_sensors, wrench_channels, contact_channels)
     if base_sensors is not None:
         signals.notices += imu_findings(log)
+        signals.notices += kinematic_notices(signals, model, config)
     signals.notices += sign_notices(signals, model, config)
     return signals
 

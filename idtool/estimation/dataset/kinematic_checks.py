@@ -1,0 +1,51 @@
+"""Checks of a walking robot's log by kinematics alone: orientation of the IMU, and feet that slip."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from idtool.common.notice import Notice
+from idtool.data.signals import Signals
+from idtool.estimation.dataset.foot_kinematics import flagged_feet, foot_motions
+from idtool.estimation.dataset.foot_slip import SlipSearch, slip_notices
+from idtool.estimation.dataset.imu_mount import disagreement_notice, fit_gyroscope, mount_notice
+from idtool.robot.config import Config
+from idtool.robot.model import RobotModel
+
+KINEMATIC_FAULTS = ("imu_mount", "foot_slip")
+
+
+def kinematic_notices(signals: Signals, model: RobotModel, config: Config) -> Iterator[Notice]:
+    """Notices about an IMU that is turned against its link, and about feet that slip.
+
+    Parameters
+    ----------
+    signals
+        A log.
+    model
+        The tree of bodies.
+    config
+        The configuration; there are none without a floating base and two feet.
+    """
+    feet = flagged_feet(config.contacts, model, signals.log)
+    if not model.has_floating_base or len(feet) < 2:
+        return
+    link = config.base.imu.link or model.robot.root
+    imu_to_base = model.frames[link].R
+    search = SlipSearch([foot.name for foot in feet], signals.log.start)
+    fits = []
+    for motion in foot_motions(signals, model, feet):
+        fits.append(fit_gyroscope(motion, imu_to_base))
+        search.add(motion)
+    if not fits:
+        return
+    fit = sum(fits[1:], start=fits[0])
+    wrong_mount = mount_notice(fit, model.robot, link, imu_to_base)
+    if wrong_mount is not None:  # with it, all feet seem to slip
+        yield wrong_mount
+        return
+    slips = search.slips()
+    yield from slip_notices(slips)
+    disagreement = disagreement_notice(fit, imu_to_base)
+    if disagreement is not None and not slips:  # which would explain it
+        yield disagreement
