@@ -25,7 +25,10 @@ CONFIGS = ("unknown", "measured", "sensors")  # forces on the feet, see `config_
 
 @dataclass(frozen=True)
 class Sensors:
-    """Noise of the sensors, each as a standard deviation of white noise, and delays [s]."""
+    """Noise of the sensors, each as a standard deviation of white noise, delays [s], and the rate of a pose.
+
+    With a ``pose_rate``, the pose of the IMU's link is logged, as by motion capture [samples/s].
+    """
 
     q: float = 3e-5  # rad
     v: float = 5e-3  # rad/s
@@ -37,6 +40,10 @@ class Sensors:
     moment: float = 0.02  # N m
     imu_delay: float = 0.0
     torque_delay: float = 0.0
+    pose_rate: int | None = None
+    pose_position: float = 1e-4  # m
+    pose_orientation: float = 5e-4  # rad
+    pose_delay: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -168,8 +175,30 @@ def _measured(robot: Robot, states: Mapping[str, Array], sensors: Sensors, seed:
     for k, (joint, offset) in enumerate(robot.wrench_sensors.items()):
         columns |= _wrench_columns(joint, states["sensor_wrenches"][:, k] + offset, sensors, rng)
     columns["contact_rope"] = np.full(count, float(np.all(states["wrenches"] == 0)))
+    if sensors.pose_rate is not None:
+        columns |= _pose_columns(robot, states, sensors, np.random.default_rng([seed, 5]))
     truth = {name: states[name] for name in ("position", "R", "slip")}
     return Recording(columns, truth)
+
+
+def _pose_columns(
+    robot: Robot, states: Mapping[str, Array], sensors: Sensors, rng: np.random.Generator
+) -> dict[str, Array]:
+    """Noisy pose of the IMU's link in the world; not a number between its samples."""
+    count = len(states["R"])
+    position = states["position"] + states["R"] @ robot.imu.position
+    position = position + sensors.pose_position * rng.normal(size=(count, 3))
+    noise = Rotation.from_rotvec(sensors.pose_orientation * rng.normal(size=(count, 3)))
+    orientation = Rotation.from_matrix(states["R"]) * Rotation.from_euler("z", robot.imu.turn) * noise
+    late = round(sensors.pose_delay * RATE)
+    step = RATE // (sensors.pose_rate or RATE)
+    is_between = np.arange(count) % step != 0
+    columns = {}
+    for name, values in zip(
+        ["x", "y", "z", "qx", "qy", "qz", "qw"], [*position.T, *orientation.as_quat().T], strict=True
+    ):
+        columns[f"base_{name}"] = np.where(is_between, np.nan, _late(values, late))
+    return columns
 
 
 def _wrench_columns(name: str, wrench: Array, sensors: Sensors, rng: np.random.Generator) -> dict[str, Array]:

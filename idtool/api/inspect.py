@@ -33,6 +33,7 @@ _ROBOT_FINDINGS = (  # those of a fit that an inspection of the log by itself do
     "imu_against_feet",
     "imu_delay",
     "imu_mount",
+    "pose_against_imu",
     "wrench_sensor_sign",
 )
 

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 
 from idtool.common.arrays import Array, Mask
+from idtool.data.base_sensors import PoseSensors
 from idtool.data.contact_channels import ContactSamples
 from idtool.data.logs.log import JointLog
 from idtool.data.signals import Batch, Signals
@@ -45,6 +46,8 @@ class FootMotion:
         That of the base by the gyroscope, shape (3, N) [rad/s].
     is_closed
         True where a foot is on the ground, shape (feet, N).
+    base_velocity
+        Velocity of the base's origin by its pose, shape (3, N) [m/s]; None without one.
     """
 
     t: Array
@@ -52,6 +55,7 @@ class FootMotion:
     position: Array
     angular_velocity: Array
     is_closed: Mask
+    base_velocity: Array | None = None
 
     @property
     def dt(self) -> float:
@@ -77,7 +81,9 @@ def flagged_feet(contacts: Sequence[Contact], model: RobotModel, log: JointLog) 
     return tuple(contact for contact in contacts if _is_flagged_foot(contact, model, log))
 
 
-def foot_motions(signals: Signals, model: RobotModel, feet: Sequence[Contact]) -> Iterator[FootMotion]:
+def foot_motions(
+    signals: Signals, model: RobotModel, feet: Sequence[Contact], pose: PoseSensors | None = None
+) -> Iterator[FootMotion]:
     """Motion of some feet in each stretch of a log.
 
     Parameters
@@ -88,6 +94,8 @@ def foot_motions(signals: Signals, model: RobotModel, feet: Sequence[Contact]) -
         The tree of bodies.
     feet
         The feet, from `flagged_feet`.
+    pose
+        Pose of the base, which its velocity follows from; None: it is not known.
     """
     # of a foot that lies flat, the motion of its point tells as much
     points = tuple(foot.with_unknown_wrench().model_copy(update={"flag": None, "kind": "point"}) for foot in feet)
@@ -95,12 +103,14 @@ def foot_motions(signals: Signals, model: RobotModel, feet: Sequence[Contact]) -
     for part in _short_parts(signals.ranges, round(_MAX_SECONDS / signals.log.dt)):
         pieces = [_motion_in_batch(batch, signals.log, model, feet, contact_model) for batch in signals.batches([part])]
         if pieces:
+            t = np.concatenate([piece.t for piece in pieces])
             yield FootMotion(
-                t=np.concatenate([piece.t for piece in pieces]),
+                t=t,
                 by_joints=np.concatenate([piece.by_joints for piece in pieces], axis=-1),
                 position=np.concatenate([piece.position for piece in pieces], axis=-1),
                 angular_velocity=np.concatenate([piece.angular_velocity for piece in pieces], axis=-1),
                 is_closed=np.concatenate([piece.is_closed for piece in pieces], axis=-1),
+                base_velocity=None if pose is None else pose.linear_velocity(t),
             )
 
 

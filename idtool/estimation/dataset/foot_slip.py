@@ -1,7 +1,8 @@
 """Finds feet that slip while they are on the ground, by joints and gyroscope alone.
 
 The points of contact of feet that do not slip move alike, relative to the base's origin. Of three feet and more, those
-that most others agree with stand; of two that disagree, one slips, and it can't be told which. A foot also moves a
+that most others agree with stand; of two that disagree, one slips, and it can't be told which. With a pose of the base,
+every foot is compared with the ground. A foot also moves a
 little while its soft parts deform, by millimetres in all: it slips if it moves faster than that in a short time, or
 farther in a longer one.
 
@@ -158,6 +159,14 @@ def _compare_feet(motion: FootMotion) -> tuple[Mask, dict[tuple[int, ...], Array
         samples = max(round(window / motion.dt), 1)
         mean = uniform_filter1d(velocity, samples, axis=-1)
         is_settled = motion.settled(_CONTACT_EDGE + window / 2)
+        if motion.base_velocity is not None:
+            is_checked |= is_settled
+            mean_of_base = uniform_filter1d(motion.base_velocity, samples, axis=-1)
+            speed = np.linalg.norm(mean + mean_of_base, axis=1)
+            for foot, is_slipping in enumerate(is_settled & (speed > least_speed)):
+                own = np.where(is_slipping, speed[foot], np.nan)
+                speeds[(foot,)] = np.fmax(speeds.get((foot,), np.nan), own)
+            continue
         is_compared = is_settled & (is_settled.sum(axis=0) > 1)
         is_checked |= is_compared
         for feet, speed in _disagreeing_feet(mean, is_compared, least_speed).items():

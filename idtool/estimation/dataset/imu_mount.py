@@ -22,6 +22,7 @@ from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.estimation.dataset.foot_kinematics import FootMotion
+from idtool.robot.config import Base
 from idtool.robot.inertia import skew
 from idtool.robot.urdf.reading import Robot
 
@@ -32,7 +33,7 @@ _MIN_SPEED = 0.01  # m/s, rms, with which the joints must move the feet against 
 _MIN_EXPLAINED = 0.8  # share of the squares that the right orientation explains at least
 _MIN_MARGIN = 0.1  # of that share, by which another orientation must be better
 _MIN_TURN = np.deg2rad(8)  # by which an IMU that is not exactly aligned may be off
-_MAX_REMAINING = 0.4  # of the unexplained squares that a turn by less than 90° leaves
+_MAX_REMAINING = 0.4  # of the unexplained squares that a better orientation leaves
 _MAX_SCALE_ERROR = 0.15  # soft feet and a wrong radius account for less
 _MIN_AXIS_SHARE = 0.99  # of an axis along x, y or z, which is named by its letter
 
@@ -119,7 +120,7 @@ def fit_gyroscope(motion: FootMotion, imu_to_base: Array) -> GyroscopeFit:
     )
 
 
-def mount_notice(fit: GyroscopeFit, robot: Robot, link: str, imu_to_base: Array) -> Notice | None:
+def mount_notice(fit: GyroscopeFit, robot: Robot, base: Base, imu_to_base: Array) -> Notice | None:
     """Notice about an IMU that is turned against its link in the URDF, or of which a sign is wrong.
 
     Parameters
@@ -128,8 +129,8 @@ def mount_notice(fit: GyroscopeFit, robot: Robot, link: str, imu_to_base: Array)
         From `fit_gyroscope`.
     robot
         From the URDF.
-    link
-        Link of the IMU.
+    base
+        Configuration of the sensor of the base.
     imu_to_base
         As in `fit_gyroscope`.
     """
@@ -141,30 +142,30 @@ def mount_notice(fit: GyroscopeFit, robot: Robot, link: str, imu_to_base: Array)
     if configured > _MIN_EXPLAINED:
         turn = Rotation.from_matrix(imu_to_base.T @ best)
         is_better = 1 - fit.explained(best) < _MAX_REMAINING * (1 - configured)
-        return _turned_notice(turn, robot, link) if is_better and turn.magnitude() > _MIN_TURN else None
+        return _turned_notice(turn, robot, base) if is_better and turn.magnitude() > _MIN_TURN else None
 
     right_angles = sorted(
         ((fit.explained(imu_to_base @ turn.as_matrix()), turn) for turn in Rotation.create_group("O")),
         key=lambda pair: -pair[0],
     )
     (best_share, right_angle), (next_share, _) = right_angles[:2]
-    if best_share > max(least, next_share + _MIN_MARGIN):
-        return _turned_notice(right_angle, robot, link)
     mirrored_share, axes = max((fit.explained(imu_to_base @ np.diag(signs)), axes) for axes, signs in _mirrors())
-    if mirrored_share > max(least, best_share + _MIN_MARGIN):
+    if not base.uses_pose and mirrored_share > least and 1 - mirrored_share < _MAX_REMAINING * (1 - best_share):
         message = f"its gyroscope has the wrong sign about {axes}, as feet on the ground and joints tell"
         return Notice("imu_mount", "problem", "imu", message, "correct the sign when you log it")
+    if best_share > max(least, next_share + _MIN_MARGIN):
+        return _turned_notice(right_angle, robot, base)
     if fit.explained(best) > max(least, best_share + _MIN_MARGIN):
-        return _turned_notice(Rotation.from_matrix(imu_to_base.T @ best), robot, link)
+        return _turned_notice(Rotation.from_matrix(imu_to_base.T @ best), robot, base)
     return None
 
 
-def disagreement_notice(fit: GyroscopeFit, imu_to_base: Array) -> Notice | None:
-    """Notice about a gyroscope that differs in scale from feet and joints, or has little to do with them.
+def disagreement_notice(fit: GyroscopeFit, base: Base, imu_to_base: Array) -> Notice | None:
+    """Notice about an angular velocity that differs in scale from feet and joints, or has little to do with them.
 
     Parameters
     ----------
-    fit, imu_to_base
+    fit, base, imu_to_base
         As in `mount_notice`, which gave none.
     """
     if not fit.is_telling:
@@ -172,16 +173,17 @@ def disagreement_notice(fit: GyroscopeFit, imu_to_base: Array) -> Notice | None:
     explained = fit.explained(imu_to_base)
     if explained < _MIN_EXPLAINED:
         message = (
-            f"its gyroscope explains {100 * explained:.0f} % of how the joints move the feet on the ground against "
-            "each other; it should explain nearly all"
+            f"its angular velocity explains {100 * explained:.0f} % of how the joints move the feet on the ground "
+            "against each other; it should explain nearly all"
         )
-        advice = "compare the axes of base.imu.link, order and signs of the joints, and the flags of the feet"
-        return Notice("imu_against_feet", "warning", "imu", message, advice)
+        key = f"base.{base.sensor_name}.link"
+        advice = f"compare the axes of {key}, order and signs of the joints, and the flags of the feet"
+        return Notice("imu_against_feet", "warning", base.sensor_name, message, advice)
     gain = 1 / fit.scale(imu_to_base)
     if abs(gain - 1) > _MAX_SCALE_ERROR:
         message = f"its angular velocity is {gain:.2f} times that by feet on the ground and joints"
         advice = "check its unit and calibration, and the lengths of the legs in the URDF"
-        return Notice("imu_against_feet", "warning", "imu", message, advice)
+        return Notice("imu_against_feet", "warning", base.sensor_name, message, advice)
     return None
 
 
@@ -193,8 +195,9 @@ def _mirrors() -> Iterator[tuple[str, Array]]:
             yield join_names(axes), np.array(signs)
 
 
-def _turned_notice(turn: Rotation, robot: Robot, link: str) -> Notice:
-    """Notice that the IMU is turned against its link, with the rpy that is right."""
+def _turned_notice(turn: Rotation, robot: Robot, base: Base) -> Notice:
+    """Notice that the sensor is turned against its link, with the rpy that is right."""
+    link = base.sensor.link or robot.root
     vector = turn.as_rotvec()
     angle = float(np.linalg.norm(vector))
     axis = vector / angle
@@ -211,8 +214,9 @@ def _turned_notice(turn: Rotation, robot: Robot, link: str) -> Notice:
         advice = f'set rpy="{rpy}" in the origin of the joint {mounts[0].name}'
     else:
         rpy = _rpy(turn.as_matrix())
-        advice = f'add a link for the IMU, fixed to {link} with rpy="{rpy}", and name it in base.imu.link'
-    return Notice("imu_mount", "problem", "imu", message, advice)
+        key = f"base.{base.sensor_name}.link"
+        advice = f'add a link for it to the URDF, fixed to {link} with rpy="{rpy}", and name it in {key}'
+    return Notice("imu_mount", "problem", base.sensor_name, message, advice)
 
 
 def _rpy(R: Array) -> str:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from idtool.common.notice import Notice
+from idtool.data.base_sensors import pose_sensors
 from idtool.data.signals import Signals
 from idtool.estimation.dataset.foot_kinematics import flagged_feet, foot_motions
 from idtool.estimation.dataset.foot_slip import SlipSearch, slip_notices
 from idtool.estimation.dataset.imu_mount import disagreement_notice, fit_gyroscope, mount_notice
+from idtool.estimation.dataset.pose_check import pose_against_imu
 from idtool.robot.config import Config
 from idtool.robot.model import RobotModel
 
@@ -25,27 +27,34 @@ def kinematic_notices(signals: Signals, model: RobotModel, config: Config) -> It
     model
         The tree of bodies.
     config
-        The configuration; there are none without a floating base and two feet.
+        The configuration; there are none without a floating base.
     """
-    feet = flagged_feet(config.contacts, model, signals.log)
-    if not model.has_floating_base or len(feet) < 2:
+    if not model.has_floating_base:
         return
-    link = config.base.imu.link or model.robot.root
-    imu_to_base = model.frames[link].R
+    pose = pose_sensors(signals.log, model, config)
+    if pose is not None and not config.base.uses_pose:
+        disagreement = pose_against_imu(signals, pose)
+        if disagreement is not None:
+            yield disagreement
+            pose = None
+    feet = flagged_feet(config.contacts, model, signals.log)
+    if not feet:
+        return
+    imu_to_base = model.frames[config.base.sensor.link or model.robot.root].R
     search = SlipSearch([foot.name for foot in feet], signals.log.start)
     fits = []
-    for motion in foot_motions(signals, model, feet):
+    for motion in foot_motions(signals, model, feet, pose):
         fits.append(fit_gyroscope(motion, imu_to_base))
         search.add(motion)
     if not fits:
         return
     fit = sum(fits[1:], start=fits[0])
-    wrong_mount = mount_notice(fit, model.robot, link, imu_to_base)
+    wrong_mount = mount_notice(fit, model.robot, config.base, imu_to_base)
     if wrong_mount is not None:  # with it, all feet seem to slip
         yield wrong_mount
         return
     slips = search.slips()
     yield from slip_notices(slips)
-    disagreement = disagreement_notice(fit, imu_to_base)
+    disagreement = disagreement_notice(fit, config.base, imu_to_base)
     if disagreement is not None and not slips:  # which would explain it
         yield disagreement
