@@ -224,7 +224,7 @@ def write_csv(path: Path, recording: Recording) -> None:
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(recording.columns), comments="")
 
 
-def config_text(robot: Robot, forces: str = "unknown") -> str:
+def config_text(robot: Robot, forces: str = "unknown", base_sensor: str = "imu") -> str:
     """Configuration: floating base, contacts, rotors by data sheet, bounds of the links.
 
     Parameters
@@ -233,6 +233,8 @@ def config_text(robot: Robot, forces: str = "unknown") -> str:
         The robot.
     forces
         Of the ground on the feet: ``unknown``, ``measured``, or ``sensors``: unknown, with the robot's wrench sensors.
+    base_sensor
+        ``imu`` or ``pose``, both of the IMU's link.
     """
     contacts: list[dict[str, Any]] = []
     for foot in robot.feet:
@@ -264,7 +266,7 @@ def config_text(robot: Robot, forces: str = "unknown") -> str:
             "bounding_ellipsoid": {"center": [0.0, 0.0, 0.0], "semi_axes": body.semi_axes.tolist()},
         }
     content: dict[str, Any] = {
-        "base": {"kind": "floating", "link": robot.base, "imu": {"link": "imu_link"}},
+        "base": {"kind": "floating", "link": robot.base, base_sensor: {"link": "imu_link"}},
         "contacts": contacts,
         "bounding_ellipsoids": ellipsoids,
         "rotors": rotors,

@@ -34,6 +34,7 @@ _MIN_EXPLAINED = 0.8  # share of the squares that the right orientation explains
 _MIN_MARGIN = 0.1  # of that share, by which another orientation must be better
 _MIN_TURN = np.deg2rad(8)  # by which an IMU that is not exactly aligned may be off
 _MAX_REMAINING = 0.4  # of the unexplained squares that a better orientation leaves
+_MIN_EXPLAINED_BY_SCALE = 0.9  # of the squares, if the scale alone is wrong: with a foot that slips, it is less
 _MAX_SCALE_ERROR = 0.15  # soft feet and a wrong radius account for less
 _MIN_AXIS_SHARE = 0.99  # of an axis along x, y or z, which is named by its letter
 
@@ -160,31 +161,38 @@ def mount_notice(fit: GyroscopeFit, robot: Robot, base: Base, imu_to_base: Array
     return None
 
 
-def disagreement_notice(fit: GyroscopeFit, base: Base, imu_to_base: Array) -> Notice | None:
-    """Notice about an angular velocity that differs in scale from feet and joints, or has little to do with them.
+def scale_notice(fit: GyroscopeFit, base: Base, imu_to_base: Array) -> Notice | None:
+    """Notice about an angular velocity that differs from feet and joints in scale alone.
 
     Parameters
     ----------
     fit, base, imu_to_base
         As in `mount_notice`, which gave none.
     """
+    if not fit.is_telling or fit.explained(imu_to_base) < _MIN_EXPLAINED_BY_SCALE:
+        return None
+    gain = 1 / fit.scale(imu_to_base)
+    if abs(gain - 1) < _MAX_SCALE_ERROR:
+        return None
+    message = f"its angular velocity is {gain:.2f} times that by feet on the ground and joints"
+    advice = "check its unit and calibration, and the lengths of the legs in the URDF"
+    return Notice("imu_against_feet", "warning", base.sensor_name, message, advice)
+
+
+def disagreement_notice(fit: GyroscopeFit, base: Base, imu_to_base: Array) -> Notice | None:
+    """Notice about an angular velocity that has little to do with feet and joints; as `scale_notice`."""
     if not fit.is_telling:
         return None
     explained = fit.explained(imu_to_base)
-    if explained < _MIN_EXPLAINED:
-        message = (
-            f"its angular velocity explains {100 * explained:.0f} % of how the joints move the feet on the ground "
-            "against each other; it should explain nearly all"
-        )
-        key = f"base.{base.sensor_name}.link"
-        advice = f"compare the axes of {key}, order and signs of the joints, and the flags of the feet"
-        return Notice("imu_against_feet", "warning", base.sensor_name, message, advice)
-    gain = 1 / fit.scale(imu_to_base)
-    if abs(gain - 1) > _MAX_SCALE_ERROR:
-        message = f"its angular velocity is {gain:.2f} times that by feet on the ground and joints"
-        advice = "check its unit and calibration, and the lengths of the legs in the URDF"
-        return Notice("imu_against_feet", "warning", base.sensor_name, message, advice)
-    return None
+    if explained > _MIN_EXPLAINED:
+        return None
+    message = (
+        f"its angular velocity explains {100 * explained:.0f} % of how the joints move the feet on the ground against "
+        "each other; it should explain nearly all"
+    )
+    key = f"base.{base.sensor_name}.link"
+    advice = f"compare the axes of {key}, order and signs of the joints, and the flags of the feet"
+    return Notice("imu_against_feet", "warning", base.sensor_name, message, advice)
 
 
 def _mirrors() -> Iterator[tuple[str, Array]]:

@@ -9,7 +9,7 @@ from idtool.data.base_sensors import pose_sensors
 from idtool.data.signals import Signals
 from idtool.estimation.dataset.foot_kinematics import flagged_feet, foot_motions
 from idtool.estimation.dataset.foot_slip import SlipSearch, slip_notices
-from idtool.estimation.dataset.imu_mount import disagreement_notice, fit_gyroscope, mount_notice
+from idtool.estimation.dataset.imu_mount import disagreement_notice, fit_gyroscope, mount_notice, scale_notice
 from idtool.estimation.dataset.pose_check import pose_against_imu
 from idtool.robot.config import Config
 from idtool.robot.model import RobotModel
@@ -49,9 +49,11 @@ def kinematic_notices(signals: Signals, model: RobotModel, config: Config) -> It
     if not fits:
         return
     fit = sum(fits[1:], start=fits[0])
-    wrong_mount = mount_notice(fit, model.robot, config.base, imu_to_base)
-    if wrong_mount is not None:  # with it, all feet seem to slip
-        yield wrong_mount
+    # with one of these, all feet seem to slip
+    wrong_sensor = mount_notice(fit, model.robot, config.base, imu_to_base)
+    wrong_sensor = wrong_sensor or scale_notice(fit, config.base, imu_to_base)
+    if wrong_sensor is not None:
+        yield wrong_sensor
         return
     slips = search.slips()
     yield from slip_notices(slips)
