@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 import idtool
 from idtool.common.notice import Notice
 from idtool.common.safe_yaml import parse_yaml
+from idtool.diagnosis.data_faults import find_data_faults
 from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.dataset.foot_kinematics import FootMotion
 from idtool.estimation.dataset.foot_slip import FootSlip, SlipSearch
@@ -143,6 +144,20 @@ def test_inspection_compares_with_the_urdf_beside_the_configuration(tmp_path: Pa
     assert "not_compared_with_urdf" in codes(config=urdf.with_suffix(".yaml"))
     with pytest.raises(idtool.IdtoolError):
         idtool.inspect(log, config=other, urdf=urdf)
+
+
+def test_slip_is_a_data_fault_and_named_with_its_log(tmp_path: Path, on_ice: Recording, stand: Recording) -> None:
+    urdf, log = write_robot(tmp_path, on_ice)
+    other = tmp_path / "rough.csv"
+    write_csv(other, stand)
+    config = parse_config(parse_yaml(urdf.with_suffix(".yaml"), config_text(TRUTH).encode()), "")
+    experiment = prepare(read_robot(urdf), config, [log, other], holdout=0.0)
+    (fault,) = [fault for fault in find_data_faults(experiment, lambda stage, share: None) if fault.code in CODES]
+    assert (fault.code, fault.subject) == ("foot_slip", "FL_foot")
+    assert fault.message.endswith("(log.csv)")
+    (notice,) = [notice for notice in experiment.notices if notice.code in CODES]
+    assert notice.subject == "log.csv"
+    assert notice.message.startswith("FL_foot: it slips")
 
 
 def motion(velocities: dict[int, float], count: int, seconds: float = 2.0) -> FootMotion:
