@@ -95,6 +95,35 @@ def test_init_proposes_the_pose_where_there_is_no_imu(tmp_path: Path, stand: Rec
     assert "pose" not in with_imu.data["base"]
 
 
+@pytest.mark.parametrize(
+    ("pose", "columns", "error"),
+    [
+        ({"link": "nose"}, {}, r"base\.pose\.link: nose: is not a link of the URDF"),
+        ({"link": "FL_calf"}, {}, r"base\.pose\.link: FL_calf: moves against the root link trunk"),
+        ({}, dict.fromkeys(POSE, np.nan), "channel base_x has no values"),
+        ({}, dict.fromkeys(POSE[3:], 0.0), "the orientation of the pose .* is zero; log it, from link to world"),
+        ({}, dict.fromkeys(POSE, 0.5), "the pose of the base reads the same all the time; log it, or remove base.pose"),
+    ],
+)
+def test_pose_that_cannot_be_used_is_refused(
+    tmp_path: Path, stand: Recording, pose: Mapping[str, str], columns: Mapping[str, float], error: str
+) -> None:
+    content = {**BY_POSE, "base": {**BY_POSE["base"], "pose": pose}}
+    constant = {name: np.full(len(stand.columns["t"]), value) for name, value in columns.items()}
+    with pytest.raises(idtool.IdtoolError, match=error):
+        notices(tmp_path, stand, content, **constant)
+
+
+def test_log_without_the_pose_is_refused(tmp_path: Path, stand: Recording) -> None:
+    log = write_log(tmp_path / "log.csv", stand, without="base_")
+    with pytest.raises(idtool.IdtoolError, match="has no channel base_x"):
+        prepare(read_robot(write_robot(tmp_path)), parse_config(BY_POSE, ""), [log], holdout=0.0)
+    config = tmp_path / "pose.yaml"
+    config.write_text(config_text(TRUTH, base_sensor="pose"))
+    found = idtool.inspect(log, config=config).notices
+    assert [notice.subject for notice in found if notice.code == "sensor_unusable"] == ["pose"]
+
+
 def test_pose_that_is_turned_against_the_imu_is_named(tmp_path: Path, stand: Recording) -> None:
     both = {**BY_POSE, "base": {**BY_POSE["base"], "imu": {"link": "imu_link"}}}
     both["base"]["pose"] = {"link": "imu_link", "delay": 0.02}
