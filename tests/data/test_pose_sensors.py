@@ -13,6 +13,7 @@ from ground.logs import Recording as GroundRecording
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+import idtool
 from idtool.common.exceptions import LogError
 from idtool.data.base_sensors import POSE, PoseSensors, interpolate
 from idtool.data.filters import DIFFERENCE_REACH
@@ -177,3 +178,15 @@ def test_columns_of_a_pose_may_have_empty_cells(tmp_path: Path) -> None:
     write_csv(tmp_path / "log.csv", GroundRecording(columns))
     channel = read_log(tmp_path / "log.csv").channels["base_qw"]
     assert np.isfinite(channel.x).sum() == 250
+
+
+def test_saved_pose_is_read_again(tmp_path: Path) -> None:
+    """As messages, whatever type it was of."""
+    write_poses(tmp_path / "log.mcap", [("/odom", "nav_msgs/msg/Odometry")])
+    log = idtool.Log(tmp_path / "log.mcap", sensors=True)
+    log.save(tmp_path / "copy.mcap")
+    before = with_sensors(log.record, POSE).channels
+    after = with_sensors(idtool.Log(tmp_path / "copy.mcap", sensors=True).record, POSE).channels
+    for name in POSE:
+        np.testing.assert_allclose(after[name].x, before[name].x)
+        np.testing.assert_allclose(after[name].t, before[name].t, atol=1e-6)
