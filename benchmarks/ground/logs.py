@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,10 @@ CONFIGS = ("unknown", "measured", "sensors")  # forces on the feet, see `config_
 
 @dataclass(frozen=True)
 class Sensors:
-    """Noise of the sensors, each as a standard deviation of white noise, and delays [s]."""
+    """Noise of the sensors, each as a standard deviation of white noise, delays [s], and the rate of a pose.
+
+    With a ``pose_rate``, the pose of the IMU's link is logged, as by motion capture [samples/s].
+    """
 
     q: float = 3e-5  # rad
     v: float = 5e-3  # rad/s
@@ -37,13 +40,27 @@ class Sensors:
     moment: float = 0.02  # N m
     imu_delay: float = 0.0
     torque_delay: float = 0.0
+    pose_rate: int | None = None
+    pose_position: float = 1e-4  # m
+    pose_orientation: float = 5e-4  # rad
+    pose_delay: float = 0.0
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Channels as logged, by their column's name, shape (N,)."""
+    """A motion as logged, and as it was.
+
+    Attributes
+    ----------
+    columns
+        Channels as logged, by their column's name, shape (N,).
+    truth
+        What no sensor measures: ``position`` of the base, shape (N, 3) [m], its rotation ``R`` to the world, shape
+        (N, 3, 3), and the way ``slip`` that each foot has slipped so far, shape (N, feet) [m].
+    """
 
     columns: Mapping[str, Array]
+    truth: Mapping[str, Array] = field(default_factory=dict)
 
 
 def record(
@@ -116,7 +133,7 @@ def _steps(plant: Plant, tau: Array, count: int) -> _HalfSample:
 
 def _state(plant: Plant) -> dict[str, Any]:
     position, R = plant.base
-    return {"q": plant.q.copy(), "v": plant.v.copy(), "position": position, "R": R}
+    return {"q": plant.q.copy(), "v": plant.v.copy(), "position": position, "R": R, "slip": plant.slip}
 
 
 def _measured(robot: Robot, states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recording:
@@ -158,7 +175,30 @@ def _measured(robot: Robot, states: Mapping[str, Array], sensors: Sensors, seed:
     for k, (joint, offset) in enumerate(robot.wrench_sensors.items()):
         columns |= _wrench_columns(joint, states["sensor_wrenches"][:, k] + offset, sensors, rng)
     columns["contact_rope"] = np.full(count, float(np.all(states["wrenches"] == 0)))
-    return Recording(columns)
+    if sensors.pose_rate is not None:
+        columns |= _pose_columns(robot, states, sensors, np.random.default_rng([seed, 5]))
+    truth = {name: states[name] for name in ("position", "R", "slip")}
+    return Recording(columns, truth)
+
+
+def _pose_columns(
+    robot: Robot, states: Mapping[str, Array], sensors: Sensors, rng: np.random.Generator
+) -> dict[str, Array]:
+    """Noisy pose of the IMU's link in the world; not a number between its samples."""
+    count = len(states["R"])
+    position = states["position"] + states["R"] @ robot.imu.position
+    position = position + sensors.pose_position * rng.normal(size=(count, 3))
+    noise = Rotation.from_rotvec(sensors.pose_orientation * rng.normal(size=(count, 3)))
+    orientation = Rotation.from_matrix(states["R"]) * Rotation.from_euler("z", robot.imu.turn) * noise
+    late = round(sensors.pose_delay * RATE)
+    step = RATE // (sensors.pose_rate or RATE)
+    is_between = np.arange(count) % step != 0
+    columns = {}
+    for name, values in zip(
+        ["x", "y", "z", "qx", "qy", "qz", "qw"], [*position.T, *orientation.as_quat().T], strict=True
+    ):
+        columns[f"base_{name}"] = np.where(is_between, np.nan, _late(values, late))
+    return columns
 
 
 def _wrench_columns(name: str, wrench: Array, sensors: Sensors, rng: np.random.Generator) -> dict[str, Array]:
@@ -184,7 +224,7 @@ def write_csv(path: Path, recording: Recording) -> None:
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(recording.columns), comments="")
 
 
-def config_text(robot: Robot, forces: str = "unknown") -> str:
+def config_text(robot: Robot, forces: str = "unknown", base_sensor: str = "imu") -> str:
     """Configuration: floating base, contacts, rotors by data sheet, bounds of the links.
 
     Parameters
@@ -193,6 +233,8 @@ def config_text(robot: Robot, forces: str = "unknown") -> str:
         The robot.
     forces
         Of the ground on the feet: ``unknown``, ``measured``, or ``sensors``: unknown, with the robot's wrench sensors.
+    base_sensor
+        ``imu`` or ``pose``, both of the IMU's link.
     """
     contacts: list[dict[str, Any]] = []
     for foot in robot.feet:
@@ -224,7 +266,7 @@ def config_text(robot: Robot, forces: str = "unknown") -> str:
             "bounding_ellipsoid": {"center": [0.0, 0.0, 0.0], "semi_axes": body.semi_axes.tolist()},
         }
     content: dict[str, Any] = {
-        "base": {"kind": "floating", "link": robot.base, "imu": {"link": "imu_link"}},
+        "base": {"kind": "floating", "link": robot.base, base_sensor: {"link": "imu_link"}},
         "contacts": contacts,
         "bounding_ellipsoids": ellipsoids,
         "rotors": rotors,

@@ -36,6 +36,8 @@ class Physics:
     ----------
     friction_coefficient
         Of the feet on the ground.
+    slippery_feet
+        Friction coefficient of single feet that have another.
     is_held
         True if the base hangs in the air.
     payloads
@@ -43,6 +45,7 @@ class Physics:
     """
 
     friction_coefficient: float = 0.8
+    slippery_feet: dict[str, float] = field(default_factory=dict)
     is_held: bool = False
     payloads: list[Payload] = field(default_factory=list)
 
@@ -112,6 +115,11 @@ class Plant:
         mujoco.mju_quat2Mat(R, self.data.qpos[3:7])
         return np.array(self.data.qpos[:3]), R.reshape(3, 3)
 
+    @property
+    def slip(self) -> Array:
+        """Way that each foot has slipped over the ground so far, the mean of its balls, shape (feet,) [m]."""
+        return np.array([np.mean([ball.slip for ball in balls]) for balls in self._balls])
+
     def _set_joints(self, q: Array) -> None:
         self.data.qpos[self._joint_qpos] = q
         self.data.qpos[self._rotor_qpos] = self._robot.gear * q
@@ -148,8 +156,9 @@ class Plant:
         for foot, wrench, balls in zip(self._robot.feet, self.wrenches, self._balls, strict=True):
             site = self.data.site(foot.name)
             R = site.xmat.reshape(3, 3) if foot.is_sole else np.eye(3)
+            friction = self._physics.slippery_feet.get(foot.name, self._physics.friction_coefficient)
             for ball in balls:
-                contact = ball.touch(self.model, self.data, self._physics.friction_coefficient, self._step)
+                contact = ball.touch(self.model, self.data, friction, self._step)
                 if contact is None:
                     continue
                 point, push = contact
@@ -187,6 +196,11 @@ class _Ball:
         The foot.
     corner
         Number of the ball.
+
+    Attributes
+    ----------
+    slip
+        Way that it has slipped over the ground so far [m].
     """
 
     def __init__(self, model: mujoco.MjModel, foot: Foot, corner: int) -> None:
@@ -194,6 +208,7 @@ class _Ball:
         self._site = model.site(_ball_name(foot, corner)).id
         self.body = model.body(foot.link).id
         self._anchor = np.full(2, np.nan)
+        self.slip = 0.0
 
     def touch(
         self, model: mujoco.MjModel, data: mujoco.MjData, friction_coefficient: float, dt: float
@@ -219,7 +234,9 @@ class _Ball:
         size = np.linalg.norm(shear)
         if size > largest:
             shear *= largest / size
-            self._anchor = point[:2] + shear / softness.shear_stiffness
+            dragged = point[:2] + shear / softness.shear_stiffness
+            self.slip += float(np.linalg.norm(dragged - self._anchor))
+            self._anchor = dragged
         return point, np.array([*shear, normal])
 
 

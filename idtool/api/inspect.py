@@ -2,21 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from idtool.api.data import LogSource
 from idtool.api.log import Log
-from idtool.api.model import Source, load_settings
+from idtool.api.model import Model, Source, load_settings
 from idtool.api.results import notice_lines
+from idtool.common.exceptions import IdtoolError
+from idtool.common.notice import Notice
 from idtool.data.base_sensors import sensor_options
 from idtool.data.controller import with_unknown_torque
 from idtool.data.inspection import inspect_log
+from idtool.data.inspection.findings import in_order
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.message_options import message_options
+from idtool.estimation.dataset.experiment import prepare
 from idtool.reporting.inspection_report import inspection_report
 from idtool.reporting.results.inspection import InspectionReport
 from idtool.robot.config import Config
+from idtool.robot.urdf.reading import read_robot
+
+_ROBOT_FINDINGS = (  # those of a fit that an inspection of the log by itself does not have
+    "contact_always_closed",
+    "contact_without_flag",
+    "contacts_detected",
+    "foot_slip",
+    "imu_against_feet",
+    "imu_delay",
+    "imu_mount",
+    "pose_against_imu",
+    "wrench_sensor_sign",
+)
 
 
 class InspectionResult(InspectionReport):
@@ -28,7 +47,9 @@ class InspectionResult(InspectionReport):
         return "\n".join([title, *notice_lines(self.notices)])
 
 
-def inspect(log: LogSource, *, config: Source | Mapping[str, Any] | None = None) -> InspectionResult:
+def inspect(
+    log: LogSource, *, config: Source | Mapping[str, Any] | None = None, urdf: Source | None = None
+) -> InspectionResult:
     """Determine the contents and the faults of a log, like `idtool inspect`.
 
     Parameters
@@ -36,18 +57,50 @@ def inspect(log: LogSource, *, config: Source | Mapping[str, Any] | None = None)
     log
         A path, or a `Log`.
     config
-        Configuration, as in `Model`: how a file is read, and which sensors it must have. None: the defaults.
+        Configuration, as in `Model`: how a file is read, and which sensors it must have. None: the defaults, or what
+        is beside the URDF.
+    urdf
+        URDF with which the IMU, the contacts and the wrench sensors of the configuration are compared. None: that of
+        the configuration's name beside it, if there is one.
 
     Raises
     ------
     IdtoolError
-        If the log or the configuration cannot be read.
+        If the log, the configuration or the URDF cannot be read.
     """
-    settings = load_settings(config)
+    settings = Model(urdf).settings if config is None and urdf is not None else load_settings(config)
     record = log.record if isinstance(log, Log) else _read(log, settings)
     if settings.wrench_sensors:
         record = with_unknown_torque(record, settings.controller)
-    return InspectionResult.from_result(inspection_report(inspect_log(record, settings)))
+    inspection = inspect_log(record, settings)
+    of_robot = tuple(_robot_findings(record, settings, config, urdf))
+    inspection = replace(inspection, findings=in_order([*inspection.findings, *of_robot]))
+    return InspectionResult.from_result(inspection_report(inspection))
+
+
+def _robot_findings(
+    log: JointLog, settings: Config, config: Source | Mapping[str, Any] | None, urdf: Source | None
+) -> Iterator[Notice]:
+    """Notices about the sensors of a robot that only its URDF shows."""
+    if sensor_options(settings) is None:
+        return
+    if urdf is not None:
+        yield from _experiment_notices(log, settings, Path(urdf))
+        return
+    if config is None or isinstance(config, Mapping):
+        return
+    beside = Path(config).with_suffix(".urdf")
+    if not beside.is_file():
+        return
+    try:
+        yield from _experiment_notices(log, settings, beside)
+    except IdtoolError as error:  # the user did not ask for this
+        yield Notice("not_compared_with_urdf", "note", None, f"the log was not compared with {beside.name}: {error}")
+
+
+def _experiment_notices(log: JointLog, settings: Config, urdf: Path) -> list[Notice]:
+    experiment = prepare(read_robot(urdf), settings, [log], holdout=0.0)
+    return [notice for notice in experiment.notices if notice.code in _ROBOT_FINDINGS]
 
 
 def _read(path: Source, settings: Config) -> JointLog:

@@ -48,6 +48,8 @@ class Log:
         base. A CSV file has them as columns, which are always read.
     imu_topic
         The topic with the IMU, if the file has several.
+    pose_topic
+        The topic with the pose of the base, if the file has several.
     preset, fields, field_joints
         For messages that are not joint states, as in the configuration's section ``log``: a preset such as
         ``unitree_go``, the path of each field, and the joints in the order of the index ``{i}``.
@@ -77,6 +79,7 @@ class Log:
         scale: Mapping[str, Mapping[str, float]] | None = None,
         sensors: bool = False,
         imu_topic: str | None = None,
+        pose_topic: str | None = None,
         preset: str | None = None,
         fields: Mapping[str, str] | None = None,
         field_joints: Sequence[str | None] = (),
@@ -89,7 +92,7 @@ class Log:
             topic=topic,
             columns=columns or {},
             scale=scale or {},
-            sensors=SensorOptions(imu_topic) if sensors else None,
+            sensors=SensorOptions(imu_topic, pose_topic) if sensors else None,
             messages=message_options(options),
         )
         self._set_record(record, as_logged=not (columns or scale))

@@ -17,6 +17,14 @@ def inspect_command(
     config: Annotated[
         Path | None, typer.Option("--config", help="Configuration, for reading the log, and for its sensors.")
     ] = None,
+    urdf: Annotated[
+        Path | None,
+        typer.Option(
+            "--urdf",
+            help="URDF with which to compare the sensors of the configuration; default: that of its name beside it.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -28,6 +36,6 @@ def inspect_command(
     terminal = Terminal(quiet, as_json)
     with terminal.progress() as progress:
         progress("inspecting", 0.0)
-        result = inspect(log, config=config)
+        result = inspect(log, config=config, urdf=urdf)
     show_inspection(terminal, result)
     finish(terminal, result, {})

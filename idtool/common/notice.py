@@ -40,6 +40,11 @@ class Notice:
         """A copy of the notice with another subject."""
         return replace(self, subject=subject)
 
+    def in_log(self, log: str) -> Notice:
+        """A copy of the notice about a log, whose message names what it was about."""
+        message = self.message if self.subject in (None, log) else self.sentence
+        return replace(self, subject=log, message=message)
+
     @property
     def sentence(self) -> str:
         """Subject and message."""

@@ -1,8 +1,11 @@
-"""`BaseSensors`: motion of a floating base, from the channels of its IMU in a log.
+"""`BaseSensors`: motion of a floating base, from the channels of its IMU or of its pose in a log.
 
 Everything is along the axes of the base's frame. The velocity of the base's origin is not measured, and not needed: the
 equation of motion holds in every frame that moves uniformly, so that it may be 0 at every sample. The acceleration is
 the proper one, which an accelerometer shows: at rest, it points upward and is as large as gravity.
+
+A pose by motion capture or odometry is differentiated as the joints' positions are. Its noise grows with the square of
+the frequency, so that the band is lower than with an IMU.
 
 Letters: w angular velocity [rad/s], alpha its derivative [rad/s²], f proper acceleration [m/s²]. N samples. Times are
 those of the log's own stamps.
@@ -10,10 +13,13 @@ those of the log's own stamps.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
+from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.data.filters import DIFFERENCE_REACH, differentiate
@@ -27,13 +33,23 @@ from idtool.robot.model import RobotModel
 GYROSCOPE = ("imu_wx", "imu_wy", "imu_wz")
 ACCELEROMETER = ("imu_ax", "imu_ay", "imu_az")
 ORIENTATION = ("imu_qx", "imu_qy", "imu_qz", "imu_qw")
+# of a link in the world
+POSITION = ("base_x", "base_y", "base_z")
+POSE_ORIENTATION = ("base_qx", "base_qy", "base_qz", "base_qw")
+POSE = (*POSITION, *POSE_ORIENTATION)
+
+POSE_CUTOFF = 12.0  # Hz: the acceleration of a pose with 0.1 mm of noise at 1 kHz then has 0.04 m/s² of it
+_INTERPOLATION_NODES = 6  # samples from which a value in between follows, by a polynomial of degree 5
+_SMOOTHING = 0.02  # s, of velocities that are compared
 
 
 def sensor_options(config: Config) -> SensorOptions | None:
     """Options for reading the sensors of a robot from a log; None if it has none."""
     if not (config.base.kind == "floating" or config.contacts or config.wrench_sensors):
         return None
-    return SensorOptions(imu_topic=config.base.imu.topic)
+    base = config.base
+    pose_topic = None if base.pose is None else base.pose.topic
+    return SensorOptions(base.imu.topic, pose_topic, needs_imu=not base.uses_pose, needs_pose=base.pose is not None)
 
 
 def needed_channels(config: Config) -> tuple[str, ...]:
@@ -45,9 +61,11 @@ def needed_channels(config: Config) -> tuple[str, ...]:
 
 
 def channels_by_sensor(config: Config) -> list[tuple[str, tuple[str, ...]]]:
-    """Pairs of a sensor and its `needed_channels`: the joint of a wrench sensor, ``imu``, or the name of a contact."""
+    """Pairs of a sensor and its `needed_channels`: joint of a wrench sensor, ``imu``, ``pose``, or a contact."""
     sensors = [(sensor.joint, sensor.logged_channels) for sensor in config.wrench_sensors]
-    if config.base.kind == "floating":
+    if config.base.kind == "floating" and config.base.pose is not None:
+        sensors.append(("pose", POSE))
+    if config.base.kind == "floating" and not config.base.uses_pose:
         of_imu: tuple[str, ...] = (*GYROSCOPE, *ACCELEROMETER)
         if any(contact.needs_orientation for contact in config.contacts):
             of_imu += ORIENTATION
@@ -65,36 +83,30 @@ def sensor_step(log: JointLog, config: Config) -> float:
     return max((float(np.median(np.diff(log.channels[name].t))) for name in names), default=0.0)
 
 
-class BaseSensors:
-    """The sensors of a floating base in a log.
+def band_limit(config: Config) -> float:
+    """Highest default cut-off for the sensors of the base [Hz]."""
+    is_by_pose = config.base.kind == "floating" and config.base.uses_pose
+    return POSE_CUTOFF if is_by_pose else np.inf
 
-    Parameters
-    ----------
-    log
-        The log, with the channels of the IMU.
-    config
-        The configuration of its IMU.
-    imu_frame
-        Frame of the IMU in the base's.
-    """
 
-    def __init__(self, log: JointLog, config: Config, imu_frame: Frame) -> None:
-        self._channels = log.channels
-        self._imu_frame = imu_frame
-        self._imu_delay = config.base.imu.known_delay
+class BaseSensors(ABC):
+    """The sensors of a floating base in a log."""
 
-    @classmethod
-    def of_log(cls, log: JointLog, model: RobotModel, config: Config) -> BaseSensors | None:
+    @staticmethod
+    def of_log(log: JointLog, model: RobotModel, config: Config) -> BaseSensors | None:
         """The sensors of a model's base in a log; None if the base is fixed."""
         if not model.has_floating_base:
             return None
-        imu_link = config.base.imu.link or model.robot.root
-        return cls(log, config, model.frames[imu_link])
+        if config.base.uses_pose:
+            return pose_sensors(log, model, config)
+        frame = model.frames[config.base.imu.link or model.robot.root]
+        return ImuSensors(log, frame, config.base.imu.known_delay)
 
+    @abstractmethod
     def angular_velocity(self, t: Array) -> Array:
-        """Angular velocity of the base as measured, at times [s] of N samples, shape (3, N) [rad/s]."""
-        return np.asarray(self._imu_frame.R @ self._imu(GYROSCOPE, t))
+        """Angular velocity of the base as measured, at evenly spaced times [s], shape (3, N) [rad/s]."""
 
+    @abstractmethod
     def kinematics(self, t: Array, dt: float, smooth: Callable[[Array], Array]) -> tuple[Array, Array]:
         """Velocity and acceleration of the base coordinates, as `RobotModel` has them; shape (6, N) each.
 
@@ -108,6 +120,36 @@ class BaseSensors:
         smooth
             Zero-phase low-pass of the signals; it drops as many samples at both ends.
         """
+
+    @abstractmethod
+    def world_to_base(self, t: Array) -> Array:
+        """Rotation of the world's axes, z upward, into the base's frame at times [s], shape (3, 3, N)."""
+
+
+class ImuSensors(BaseSensors):
+    """An IMU on a floating base.
+
+    Parameters
+    ----------
+    log
+        The log, with the channels of the IMU.
+    frame
+        Frame of the IMU in the base's.
+    delay
+        How late it is [s].
+    """
+
+    def __init__(self, log: JointLog, frame: Frame, delay: float) -> None:
+        self._channels = log.channels
+        self._imu_frame = frame
+        self._imu_delay = delay
+
+    @override
+    def angular_velocity(self, t: Array) -> Array:
+        return np.asarray(self._imu_frame.R @ self._imu(GYROSCOPE, t))
+
+    @override
+    def kinematics(self, t: Array, dt: float, smooth: Callable[[Array], Array]) -> tuple[Array, Array]:
         reach = DIFFERENCE_REACH
         filtered_w = smooth(self.angular_velocity(t))
         filtered_f = smooth(self._imu_frame.R @ self._imu(ACCELEROMETER, t))
@@ -122,8 +164,8 @@ class BaseSensors:
         acceleration = np.concatenate([f_at_base, alpha])
         return velocity, acceleration
 
+    @override
     def world_to_base(self, t: Array) -> Array:
-        """Rotation of the world's axes, z upward, into the base's frame at times [s], shape (3, 3, N)."""
         quaternions = self._imu(ORIENTATION, t)
         imu_to_world = Rotation.from_quat(quaternions.T).as_matrix()
         base_to_imu = self._imu_frame.R.T
@@ -138,3 +180,126 @@ class BaseSensors:
     def _imu(self, names: Sequence[str], t: Array) -> Array:
         """Values of the IMU's channels, whose stamps are late, at times."""
         return self._values(names, t + self._imu_delay)
+
+
+class PoseSensors(BaseSensors):
+    """A pose of a link on a floating base, by motion capture or odometry.
+
+    Parameters
+    ----------
+    log
+        The log, with the channels of the pose.
+    frame
+        Frame of the link in the base's.
+    delay
+        How late it is [s].
+    gravity
+        Along the axes of the pose's world, shape (3,) [m/s²].
+    """
+
+    def __init__(self, log: JointLog, frame: Frame, delay: float, gravity: Array) -> None:
+        self._channels = log.channels
+        self._frame = frame
+        self._delay = delay
+        self._gravity = gravity
+
+    @override
+    def angular_velocity(self, t: Array) -> Array:
+        quaternions = self._values(POSE_ORIENTATION, t)
+        dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
+        smoothed = gaussian_filter1d(quaternions, _SMOOTHING / dt, axis=-1)
+        return np.asarray(self._frame.R @ _angular_velocity(smoothed, np.gradient(smoothed, dt, axis=-1)))
+
+    @override
+    def kinematics(self, t: Array, dt: float, smooth: Callable[[Array], Array]) -> tuple[Array, Array]:
+        reach = DIFFERENCE_REACH
+        quaternions = smooth(self._values(POSE_ORIENTATION, t))
+        rate = differentiate(quaternions, dt)
+        w_in_link = _angular_velocity(quaternions[:, reach:-reach], rate)
+        w = self._frame.R @ w_in_link
+        alpha = differentiate(w, dt)
+        # the base's origin is where the link has it, which turns with the link
+        link_to_world = Rotation.from_quat(quaternions.T)
+        origin_in_link = -self._frame.R.T @ self._frame.p
+        origin = smooth(self._values(POSITION, t)) + link_to_world.apply(origin_in_link).T
+        acceleration = differentiate(differentiate(origin, dt), dt)
+        in_world = acceleration - self._gravity[:, None]
+        in_link = link_to_world[2 * reach : -2 * reach].inv().apply(in_world.T).T
+        f = self._frame.R @ in_link
+        w = w[:, reach:-reach]
+        return np.concatenate([np.zeros_like(w), w]), np.concatenate([f, alpha])
+
+    def linear_velocity(self, t: Array) -> Array:
+        """Velocity of the base's origin along the axes of the base, at evenly spaced times [s], shape (3, N) [m/s]."""
+        dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
+        link_to_world = Rotation.from_quat(self._values(POSE_ORIENTATION, t).T)
+        origin_in_link = -self._frame.R.T @ self._frame.p
+        origin = self._values(POSITION, t) + link_to_world.apply(origin_in_link).T
+        velocity = gaussian_filter1d(origin, _SMOOTHING / dt, axis=-1, order=1) / dt
+        return np.asarray(self._frame.R @ link_to_world.inv().apply(velocity.T).T)
+
+    @override
+    def world_to_base(self, t: Array) -> Array:
+        link_to_world = Rotation.from_quat(self._values(POSE_ORIENTATION, t).T).as_matrix()
+        world_to_base = self._frame.R @ link_to_world.transpose(0, 2, 1)
+        return np.moveaxis(world_to_base, 0, -1)
+
+    def _values(self, names: Sequence[str], t: Array) -> Array:
+        """Values of channels, whose stamps are late, at times; shape (channels, N)."""
+        first = self._channels[names[0]]
+        samples = np.stack([self._channels[name].x for name in names])
+        return interpolate(first.t, samples, t + self._delay)
+
+
+def pose_sensors(log: JointLog, model: RobotModel, config: Config) -> PoseSensors | None:
+    """The pose of a model's base in a log, also if it is only compared; None without one."""
+    pose = config.base.pose
+    if pose is None:
+        return None
+    frame = model.frames[pose.link or model.robot.root]
+    return PoseSensors(log, frame, pose.known_delay, np.array(config.gravity))
+
+
+def interpolate(nodes: Array, x: Array, t: Array) -> Array:
+    """Values between samples, by the polynomial through the nearest six: a line would have no second derivative.
+
+    Parameters
+    ----------
+    nodes
+        Times of the samples [s], shape (k,), in order.
+    x
+        The samples, shape (channels, k).
+    t
+        Times [s], shape (N,); beyond the samples, they are taken as at their ends.
+
+    Returns
+    -------
+    Shape (channels, N).
+    """
+    is_new = np.concatenate([[True], np.diff(nodes) > 0])
+    nodes, x = nodes[is_new], x[:, is_new]
+    t = np.clip(t, nodes[0], nodes[-1])
+    count = min(_INTERPOLATION_NODES, len(nodes))
+    first = np.clip(np.searchsorted(nodes, t) - count // 2, 0, len(nodes) - count)
+    near = first[:, None] + np.arange(count)  # (N, count)
+    times = nodes[near]
+    values = np.zeros((len(x), len(t)))
+    for j in range(count):
+        weight = np.ones_like(t)
+        for k in range(count):
+            if k != j:
+                weight *= (t - times[:, k]) / (times[:, j] - times[:, k])
+        values += weight * x[:, near[:, j]]
+    return values
+
+
+def _angular_velocity(quaternions: Array, rate: Array) -> Array:
+    """Angular velocity along the axes of the turning frame, from a quaternion, real part last, and its rate.
+
+    Shapes (4, N); the norm need not be 1. The result has the shape (3, N) [rad/s].
+    """
+    v, s = quaternions[:3], quaternions[3]
+    dv, ds = rate[:3], rate[3]
+    # vector part of 2 q* dq/dt
+    vector = s * dv - ds * v - np.cross(v, dv, axis=0)
+    return np.asarray(2 * vector / np.square(quaternions).sum(axis=0))

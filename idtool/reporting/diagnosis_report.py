@@ -10,6 +10,7 @@ from idtool.common.notice import Notice
 from idtool.diagnosis.comparison import Comparison
 from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, EffectProfile, ErrorSummary, ResidualProfile
 from idtool.dynamics.effects import effect_from_entry
+from idtool.estimation.dataset.kinematic_checks import KINEMATIC_FAULTS
 from idtool.reporting.comparison_report import comparison_report
 from idtool.reporting.diagnosis_text import next_steps, summary
 from idtool.reporting.fit_report import fit_report, parameter_units
@@ -47,7 +48,9 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str, comparison: Comparison 
         The comparison with the simulator that the diagnosis is part of; None: there is none.
     """
     model = fit_report(diagnosis.last)
-    warnings = [*diagnosis.last.notices, *diagnosis.notices, *(comparison.notices if comparison else ())]
+    faults = {fault.code for fault in diagnosis.faults}
+    warnings = [notice for notice in diagnosis.last.notices if notice.code not in faults.intersection(KINEMATIC_FAULTS)]
+    warnings += [*diagnosis.notices, *(comparison.notices if comparison else ())]
     report = DiagnosisReport(
         versions=model.versions,
         inputs=model.inputs,

@@ -297,6 +297,8 @@ class _Builder:
         """Refuse a base, a sensor or a contact on a link on which it cannot be."""
         base = self.config.base
         on_base = {"base.link": base.link, "base.imu.link": base.imu.link}
+        if base.pose is not None:
+            on_base["base.pose.link"] = base.pose.link
         for key, link in on_base.items():
             if link is None:
                 continue

@@ -14,10 +14,11 @@ from idtool.data.logs import JointLog
 from idtool.robot.config import Config
 from idtool.robot.model import WRENCH_SIZE, RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
-from idtool.setup.feet import find_feet, leg_ends, touch_of
+from idtool.setup.feet import Touch, find_feet, leg_ends, touch_of
 from idtool.setup.logged_sensors import LoggedSensors
 from idtool.setup.name_matching import match, words
 from idtool.setup.records import ConfigSection, TodoItem
+from idtool.setup.rolling_radius import RollingRadius
 from idtool.setup.wrench_sensors import with_signs, wrench_sensor_joints, wrench_sensors_section
 
 _WORLD_WORDS = {"world", "map", "odom", "ground"}  # words of a root link that stands still
@@ -34,6 +35,9 @@ _SUPPORT_WORDS = {
     "hook",
     "support",
 }
+_MARKER_WORDS = {"marker", "markers", "mocap", "vicon", "optitrack", "qualisys"}
+_RADIUS_KEY = "contacts.radius"
+_UNKNOWN_RADIUS = "radius of "  # begin of a comment on a radius that is not of a sphere
 _BASE_WORDS = {"base", "body", "trunk", "torso", "pelvis"}
 
 
@@ -47,10 +51,13 @@ class BaseSections:
         The sections by key.
     todo
         Values that the user has to check.
+    feet_without_radius
+        Contacts of feet that may be balls, whose radius is not in the URDF.
     """
 
     sections: dict[str, ConfigSection] = field(default_factory=dict)
     todo: tuple[TodoItem, ...] = ()
+    feet_without_radius: tuple[str, ...] = ()
 
     def values(self) -> dict[str, Any]:
         """Plain data of the sections."""
@@ -61,6 +68,24 @@ class BaseSections:
         """Names of the proposed contacts whose force was measured."""
         entries = self.values().get("contacts", [])
         return [entry["name"] for entry in entries if "force" in entry]
+
+    def with_radius(self, radius: RollingRadius | None) -> BaseSections:
+        """A copy with the radius of feet by how they roll; None: it is not known."""
+        if radius is None:
+            return self
+        feet = self.feet_without_radius
+        section = self.sections["contacts"]
+        value = round(radius.value, 4)
+        entries = [{**entry, "radius": value} if entry["name"] in feet else entry for entry in section.value]
+        comment = (
+            f"{_UNKNOWN_RADIUS}{join_names(feet)}: {radius.text}, by how they roll while the robot stands (logs). Soft "
+            "feet seem smaller; measure it if you can."
+        )
+        comments = [one for one in section.comments if not one.startswith(_UNKNOWN_RADIUS)]
+        todo = [item for item in self.todo if item.key != _RADIUS_KEY]
+        todo.append(TodoItem(_RADIUS_KEY, f"measure the radius of {join_names(feet)}, which the logs tell roughly"))
+        section = replace(section, comments=(*comments, comment), value=entries)
+        return BaseSections({**self.sections, "contacts": section}, tuple(todo))
 
     def with_frame(self, frame: str, is_certain: bool) -> BaseSections:
         """A copy with the axes of the measured forces, which the user has to check if they are not certain."""
@@ -74,7 +99,7 @@ class BaseSections:
             comments = (*comments, f"frame of {names}: world or link; the logs do not tell which.")
             todo = (*todo, TodoItem("contacts.frame", f"the axes of the force of {names}: world or link"))
         section = replace(section, comments=comments, value=entries)
-        return BaseSections({**self.sections, "contacts": section}, todo)
+        return replace(self, sections={**self.sections, "contacts": section}, todo=todo)
 
     def with_support(self, root: str, logs: Sequence[str]) -> BaseSections:
         """A copy with a contact for what holds the root in some logs while no other contact is closed."""
@@ -90,16 +115,21 @@ class BaseSections:
         entry = {"name": name, "link": root, "kind": "surface"}
         section = replace(section, comments=(*section.comments, comment), value=[*section.value, entry])
         todo = TodoItem("contacts.flag", f"log when {name} holds the robot, or leave out {join_names(logs)}")
-        return BaseSections({**self.sections, "contacts": section}, (*self.todo, todo))
+        return replace(self, sections={**self.sections, "contacts": section}, todo=(*self.todo, todo))
 
     def with_signs(self, correlations: Mapping[str, float]) -> BaseSections:
         """A copy with the signs of the wrench sensors by `force_correlations`."""
         section, todo = with_signs(self.sections["wrench_sensors"], correlations)
-        return BaseSections({**self.sections, "wrench_sensors": section}, (*self.todo, *todo))
+        return replace(self, sections={**self.sections, "wrench_sensors": section}, todo=(*self.todo, *todo))
 
 
 def base_sections(
-    robot: Robot, logs: Sequence[JointLog], config: Config, joints: Sequence[str], imu_topics: Sequence[str]
+    robot: Robot,
+    logs: Sequence[JointLog],
+    config: Config,
+    joints: Sequence[str],
+    imu_topics: Sequence[str],
+    pose_topics: Sequence[str] = (),
 ) -> BaseSections:
     """Propose the base, its contacts and the wrench sensors.
 
@@ -113,10 +143,13 @@ def base_sections(
         The joints that are identified.
     imu_topics
         The topics to choose the IMU from, the chosen one first; empty if there is one IMU at most.
+    pose_topics
+        Those to choose the pose from, likewise.
     """
-    proposer = _Proposer(robot, LoggedSensors.of_logs(logs), config, tuple(joints), tuple(imu_topics))
+    logged = LoggedSensors.of_logs(logs)
+    proposer = _Proposer(robot, logged, config, tuple(joints), tuple(imu_topics), tuple(pose_topics))
     proposer.propose()
-    return BaseSections(proposer.sections, tuple(proposer.todo))
+    return BaseSections(proposer.sections, tuple(proposer.todo), tuple(proposer.feet_without_radius))
 
 
 @dataclass
@@ -126,8 +159,10 @@ class _Proposer:
     config: Config
     joints: tuple[str, ...]
     imu_topics: tuple[str, ...]
+    pose_topics: tuple[str, ...]
     sections: dict[str, ConfigSection] = field(default_factory=dict)
     todo: list[TodoItem] = field(default_factory=list)
+    feet_without_radius: list[str] = field(default_factory=list)
 
     def propose(self) -> None:
         floating = self.config.base.model_copy(update={"kind": "floating"})
@@ -151,26 +186,55 @@ class _Proposer:
         if "base" in self.config.model_fields_set:
             return self.config.base.kind == "floating"
         logged = self.logged
-        if not logged.has_imu:
+        if not (logged.has_imu or logged.has_pose):
             if has_contacts:
-                why = "The base is assumed to stand still, because not every log has an IMU."
-                remark = "A base that moves needs one: the columns imu_wx to imu_az, or a topic of sensor_msgs/Imu."
+                why = "The base is assumed to stand still, because not every log has an IMU or a pose."
+                remark = (
+                    "A base that moves needs one: the columns imu_wx to imu_az or base_x to base_qz, or a topic of "
+                    "sensor_msgs/Imu or nav_msgs/Odometry."
+                )
                 self.sections["base"] = ConfigSection("base", (why, remark), {"kind": "fixed"})
-                self.todo.append(TodoItem("base", "the logs have contacts and no IMU: log one if the base moves"))
+                self.todo.append(
+                    TodoItem("base", "the logs have contacts and no IMU or pose: log one if the base moves")
+                )
             return False
+        sensor = "IMU" if logged.has_imu else "pose"
         reason = None
         if words(self.robot.root) & _WORLD_WORDS:
             reason = f"the URDF's root is {self.robot.root}"
         elif not logged.base_moves and not has_contacts:
-            reason = "the IMU stands still, and no contact was logged"
+            reason = f"the {sensor} stands still, and no contact was logged"
         if reason is not None:
-            comment = f"The base is fixed, although the logs have an IMU: {reason} (logs and URDF)."
+            article = "an" if logged.has_imu else "a"
+            comment = f"The base is fixed, although the logs have {article} {sensor}: {reason} (logs and URDF)."
             self.sections["base"] = ConfigSection("base", (comment,), {"kind": "fixed"})
             return False
-        self.sections["base"] = self._floating_base()
+        self.sections["base"] = self._base_with_imu() if logged.has_imu else self._base_with_pose()
         return True
 
-    def _floating_base(self) -> ConfigSection:
+    def _base_with_pose(self) -> ConfigSection:
+        """The section ``base`` of a robot whose pose was logged, and no IMU."""
+        comments = ["The base floats, because the logs have its pose (logs). link: the URDF's root."]
+        root = self.robot.root
+        named = [link for link in self.robot.links if words(link) & _MARKER_WORDS and self._is_on_base(link)]
+        link = min(named, key=len) if named else root
+        if named:
+            comments.append(f"pose.link: the link whose pose it is; by its name (URDF): {join_names(named)}.")
+        else:
+            comments.append(f"pose.link: the link whose pose it is; {root} if its origin and its axes were tracked.")
+            self.todo.append(TodoItem("base.pose.link", f"the link whose pose was logged; {root} is a guess"))
+        pose: dict[str, Any] = {"link": link}
+        if self.pose_topics:
+            comments.append(f"pose.topic: one of {join_names(self.pose_topics)} (logs).")
+            pose["topic"] = self.pose_topics[0]
+            if len(self.pose_topics) > 1:
+                self.todo.append(TodoItem("base.pose.topic", f"one of {join_names(self.pose_topics)}: the base's"))
+        comments.append("pose.delay: how late the pose is, s; auto (default): determined while the robot stands.")
+        return ConfigSection(
+            "base", tuple(comments), {"kind": "floating", "link": root, "pose": {**pose, "delay": "auto"}}
+        )
+
+    def _base_with_imu(self) -> ConfigSection:
         """The section ``base`` of a robot whose IMU was logged."""
         comments = ["The base floats, because the logs have an IMU (logs). link: the URDF's root."]
         named = [link for link in self.robot.links if "imu" in words(link) and self._is_on_base(link)]
@@ -278,7 +342,7 @@ class _Proposer:
 
     def _contact_geometry(self, link: str) -> dict[str, Any]:
         """Kind of a contact, and radius and centre of the ball if the URDF has one."""
-        touch = touch_of(self.robot, self.model, link)
+        touch = self._touch(link)
         if touch.is_surface:
             return {"kind": "surface"}
         if touch.centre is None:
@@ -288,18 +352,33 @@ class _Proposer:
             return {"kind": "point", **place}
         return {"kind": "point", "radius": touch.radius, **place}
 
+    def _touch(self, link: str) -> Touch:
+        return touch_of(self.robot, self.model, link)
+
     def _contact_comments(self, entries: Sequence[dict[str, Any]], logged: dict[str, str]) -> list[str]:
         """Comments on the meaning of the values, and on what is not known."""
         comments = []
         points = [entry for entry in entries if entry["kind"] == "point"]
-        if any("radius" in entry for entry in points):
+        bounds = [entry["name"] for entry in points if "radius" in entry and self._touch(entry["link"]).is_bound]
+        if any("radius" in entry and entry["name"] not in bounds for entry in points):
             comments.append("radius and point: of the sphere in the link's geometry, m (URDF).")
+        if bounds:
+            comments.append(
+                f"{_UNKNOWN_RADIUS}{join_names(bounds)}: of a ball about the mesh, which may be larger than the foot "
+                "(URDF); check it, m."
+            )
+            self.todo.append(TodoItem(_RADIUS_KEY, f"the radius of {join_names(bounds)}, which is that of a mesh"))
         unknown = [entry["name"] for entry in points if "radius" not in entry]
+        if self.logged.has_orientation:
+            of_feet = [entry["name"] for entry in points if entry["link"] in self.feet]
+            self.feet_without_radius = [name for name in of_feet if name in (*bounds, *unknown)]
         if unknown and not self.logged.has_orientation:
             comments.append("radius: none, because it needs the orientation of the IMU, imu_qw to imu_qz.")
         elif unknown:
-            comments.append(f"radius of {join_names(unknown)}: unknown, so 0; of a foot that is a ball, give it, m.")
-            self.todo.append(TodoItem("contacts.radius", f"the radius of {join_names(unknown)}, if they are balls"))
+            comments.append(
+                f"{_UNKNOWN_RADIUS}{join_names(unknown)}: unknown, so 0; of a foot that is a ball, give it, m."
+            )
+            self.todo.append(TodoItem(_RADIUS_KEY, f"the radius of {join_names(unknown)}, if they are balls"))
         off_foot = [entry["name"] for entry in points if "radius" not in entry and entry["link"] not in self.feet]
         if off_foot:
             comments.append(f"point of {join_names(off_foot)}: unknown, so the origin of the link; give the place, m.")

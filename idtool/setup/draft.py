@@ -79,6 +79,11 @@ class Draft:
         return "floating" in (proposed.get("kind"), self.config.base.kind)
 
     @property
+    def uses_pose(self) -> bool:
+        """True if the motion of the base follows from its pose, as given or as proposed."""
+        return "pose" in self.base.values().get("base", {}) or self.config.base.uses_pose
+
+    @property
     def origin(self) -> str:
         """Name of the source of the given values."""
         return self.source.name if self.source else "the configuration"

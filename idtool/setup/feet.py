@@ -14,6 +14,7 @@ from idtool.setup.name_matching import FOOT_WORDS, words
 _LEG_JOINTS = 3  # that a leg has at least
 _ANKLE_JOINTS = 5  # of a leg whose foot lies flat on the ground: four suffice to place a point
 _FLAT = 0.6  # ratio of the shortest extent to the middle one, below which a link is flat
+_ROUND = 0.75  # ratio of the shortest extent to the longest one, above which a foot may be a ball
 _SLENDER = 0.3  # ratio of the middle extent to the longest one, below which it is a shank rather than a sole
 _DIGITS = 5  # of a length in m
 
@@ -28,11 +29,14 @@ class Touch:
         True if it takes a moment, as a flat sole does.
     centre, radius
         Of a ball, in the link's frame [m]; None without one.
+    is_bound
+        True if the ball is that about a mesh, and the foot may be smaller.
     """
 
     is_surface: bool
     centre: tuple[float, ...] | None = None
     radius: float | None = None
+    is_bound: bool = False
 
 
 def find_feet(robot: Robot, model: RobotModel) -> list[str]:
@@ -84,5 +88,9 @@ def touch_of(robot: Robot, model: RobotModel, link: str) -> Touch:
     points = link_geometry(robot, link).points
     if len(points):
         shortest, middle, longest = np.sort(np.ptp(points, axis=0))
+        if shortest > _ROUND * longest:
+            centre = (points.min(axis=0) + points.max(axis=0)) / 2
+            radius = round(float(middle) / 2, _DIGITS)
+            return Touch(False, tuple(round(float(x), _DIGITS) + 0.0 for x in centre), radius, is_bound=True)
         return Touch(is_surface=bool(shortest < _FLAT * middle and middle > _SLENDER * longest))
     return Touch(is_surface=count_joints(model, link) >= _ANKLE_JOINTS)

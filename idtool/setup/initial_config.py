@@ -24,6 +24,7 @@ from idtool.setup.draft import Draft
 from idtool.setup.held_base import held_logs
 from idtool.setup.log_summary import summarize_logs
 from idtool.setup.records import ConfigSection, InitialConfig, TodoItem
+from idtool.setup.rolling_radius import rolling_radius
 from idtool.setup.transmissions import gear_ratios, rotor_links
 from idtool.setup.trials import TrialResults, TrialRunner, TrialTerms, run_trials, search_of, trial_of
 from idtool.setup.yaml_text import configuration_text, one_line
@@ -47,6 +48,7 @@ _SECTIONS: Mapping[str, Callable[[Draft], ConfigSection | None]] = {
 }
 _BASE = ("base", "contacts", "wrench_sensors")
 _SECTIONS_FOR_TRIALS = ("joints", "locked_joints", *_BASE, "log", "filter", "bounding_ellipsoids", "controller")
+_ANY_RADIUS = 0.02  # m, so that the orientation of the base, which a ball needs, is read
 _MIN_FRAME_RATIO = 1.5  # of the torque error along the wrong axes to that along the right ones
 _MERGED = ("locked_joints", "controller")  # their sections include the given values
 _BY_TRIAL = ("friction", "effects")  # no trials if they are given
@@ -99,7 +101,7 @@ def _make_draft(
     summary = summarize_logs(robot, logs, config, progress)
     progress("reading geometry", 0.0)
     locked = {name: lock.position for name, lock in summary.locked.items()} | config.locked_joints
-    base = base_sections(robot, summary.logs, config, summary.joints, summary.imu_topics)
+    base = base_sections(robot, summary.logs, config, summary.joints, summary.imu_topics, summary.pose_topics)
     with_base = parse_config({**base.values(), **given}, "idtool init")
     model_settings = with_base.model_copy(update={"joints": summary.joints, "locked_joints": locked})
     model = build_model(robot, model_settings, summary.joints)
@@ -122,7 +124,7 @@ def _with_trials(draft: Draft, model: RobotModel, progress: Progress) -> Draft:
     """The draft with the results of trials, or the reason why there are none."""
     if draft.without_gains:
         return replace(draft, no_trials_reason=f"the controller gains of {join_names(draft.without_gains)} are missing")
-    draft = _with_signs(draft)
+    draft = _with_radius(_with_signs(draft))
     if not draft.log_summary.with_torque:
         return replace(draft, no_trials_reason="no torque was logged")
     draft = _with_support(draft)
@@ -164,6 +166,21 @@ def _with_signs(draft: Draft) -> Draft:
     except IdtoolError:  # which the trials report
         correlations = {}
     return replace(draft, base=draft.base.with_signs(correlations))
+
+
+def _with_radius(draft: Draft) -> Draft:
+    """The draft with the radius of feet without a known one, if the logs determine it by how they roll."""
+    feet = draft.base.feet_without_radius
+    if not feet:
+        return draft
+    data = _trial_data(draft)
+    balls = [{**entry, "radius": _ANY_RADIUS} if entry["name"] in feet else entry for entry in data["contacts"]]
+    config = parse_config({**data, "contacts": balls}, "trial")
+    try:
+        radius = rolling_radius(prepare(draft.robot, config, draft.log_summary.logs), feet)
+    except IdtoolError:  # which the trials report
+        radius = None
+    return replace(draft, base=draft.base.with_radius(radius))
 
 
 def _with_support(draft: Draft) -> Draft:
@@ -252,6 +269,8 @@ def _found_base(draft: Draft) -> Iterator[str]:
     base = found.get("base", {})
     if "imu" in base:
         yield f"floating base {base['link']}, IMU {base['imu']['link']}"
+    if "pose" in base:
+        yield f"floating base {base['link']}, pose of {base['pose']['link']}"
     if "contacts" in found:
         yield f"contacts: {join_names([contact['name'] for contact in found['contacts']])}"
     if "wrench_sensors" in found:

@@ -20,7 +20,7 @@ from idtool.data.inspection.records import InspectedJoint
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.logs.sensor_channels import SensorOptions
-from idtool.data.logs.state_topics import imu_topics, state_topics
+from idtool.data.logs.state_topics import sensor_topics, state_topics
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
@@ -198,29 +198,56 @@ def find_topic(robot: Robot, paths: Sequence[Path], given: Config) -> tuple[str 
     return max(shared, key=score), tuple(shared)
 
 
-def find_imu(
-    robot: Robot, paths: Sequence[Path], given: Config, topic: str | None
-) -> tuple[SensorOptions | None, tuple[str, ...]]:
-    """How to read the sensors, and the topics to choose the IMU from, the chosen one first.
+@dataclass(frozen=True)
+class SensorChoice:
+    """The topics of sensors to read.
+
+    Attributes
+    ----------
+    options
+        How to read them; None: they are not read.
+    imu_topics, pose_topics
+        The topics to choose the IMU and the pose from, the chosen one first; empty if there is one at most.
+    """
+
+    options: SensorOptions | None
+    imu_topics: tuple[str, ...] = ()
+    pose_topics: tuple[str, ...] = ()
+
+
+def find_sensors(robot: Robot, paths: Sequence[Path], given: Config, topic: str | None) -> SensorChoice:
+    """The topics of IMU and pose to read.
 
     There are none to choose from if no log has several, or if the messages of the joints, on ``topic`` or on the only
     topic of joints, carry an IMU. The sensors are not read if there are several IMUs, none of them in all logs.
     """
+    given_pose = None if given.base.pose is None else given.base.pose.topic
     if given.base.imu.topic is not None:
-        return SensorOptions(given.base.imu.topic), ()
+        return SensorChoice(SensorOptions(given.base.imu.topic, given_pose))
     messages = message_options(given.log, robot.joints)
     existing = [path for path in paths if path.exists()]
     try:
-        by_log = [imu_topics(path, messages) for path in existing]
+        by_log = [sensor_topics(path, messages) for path in existing]
     except LogError:
-        return SensorOptions(), ()  # `load_logs` says why they cannot be read
-    if all(len(names) < 2 for names in by_log):
-        return SensorOptions(), ()
+        return SensorChoice(SensorOptions())  # `load_logs` says why they cannot be read
+    poses = () if given_pose is not None else _shared_topics([topics.poses for topics in by_log])
+    pose = given_pose or (poses[0] if poses else None)
+    imus = [topics.imus for topics in by_log]
+    options = SensorOptions(pose_topic=pose)
+    if all(len(names) < 2 for names in imus):
+        return SensorChoice(options, pose_topics=poses)
     of_joints = {topic} if topic is not None else {name for path in existing for name in state_topics(path, messages)}
-    if all(of_joints & set(names) for names in by_log):
-        return SensorOptions(), ()
-    shared = [name for name in by_log[0] if all(name in names for names in by_log)]
+    if all(of_joints & set(names) for names in imus):
+        return SensorChoice(options, pose_topics=poses)
+    shared = _shared_topics(imus)
     if not shared:
-        return None, ()
-    shared.sort(key=len)
-    return SensorOptions(shared[0]), tuple(shared)
+        return SensorChoice(None)
+    return SensorChoice(SensorOptions(shared[0], pose), shared, poses)
+
+
+def _shared_topics(by_log: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+    """The topics that are in all logs, the shortest name first, if some log has several."""
+    if all(len(names) < 2 for names in by_log):
+        return ()
+    shared = [name for name in by_log[0] if all(name in names for names in by_log)]
+    return tuple(sorted(shared, key=len))

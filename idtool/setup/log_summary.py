@@ -18,7 +18,7 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.config import Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot, UrdfJoint
-from idtool.setup.loaded_logs import LoadedLog, find_imu, find_topic, load_logs
+from idtool.setup.loaded_logs import LoadedLog, find_sensors, find_topic, load_logs
 from idtool.setup.log_notices import log_notices
 from idtool.setup.logged_sensors import LoggedSensors
 from idtool.setup.wrench_sensors import wrench_sensor_joints
@@ -60,8 +60,8 @@ class LogSummary:
         Joints of ``joints`` with a position command but no torque in some log.
     topic, topics
         The topic that is read, if there are several, and all topics.
-    imu_topics
-        The topics to choose the IMU from, the one that is read first; empty if there is one at most.
+    imu_topics, pose_topics
+        The topics to choose the IMU and the pose from, the one that is read first; empty if there is one at most.
     are_sensors_read
         False if there are several IMUs, none of them in all logs.
     rates_hz
@@ -87,6 +87,7 @@ class LogSummary:
     topic: str | None
     topics: tuple[str, ...]
     imu_topics: tuple[str, ...]
+    pose_topics: tuple[str, ...]
     are_sensors_read: bool
     rates_hz: tuple[float, ...]
     motion_hz: float
@@ -113,8 +114,8 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
         If a log cannot be read, or no joint of the robot moves and has a torque or a command.
     """
     topic, topics = find_topic(robot, paths, given)
-    sensors, imu_topics = find_imu(robot, paths, given, topic)
-    logs = load_logs(robot, paths, given, topic, sensors, progress)
+    sensors = find_sensors(robot, paths, given, topic)
+    logs = load_logs(robot, paths, given, topic, sensors.options, progress)
     needs_torque = not _has_wrench_sensors(robot, given, logs)
     reasons = _unidentifiable_reasons(robot, given, logs, needs_torque)
     identifiable = tuple(name for name, reason in reasons.items() if reason is None)
@@ -146,8 +147,9 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
         commanded=commanded,
         topic=topic if topics else None,
         topics=topics,
-        imu_topics=imu_topics,
-        are_sensors_read=sensors is not None,
+        imu_topics=sensors.imu_topics,
+        pose_topics=sensors.pose_topics,
+        are_sensors_read=sensors.options is not None,
         rates_hz=tuple(log.inspection.rate_hz for log in logs),
         motion_hz=motion,
         bands=bands,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from idtool.data.base_sensors import ACCELEROMETER, GYROSCOPE, ORIENTATION
+from idtool.data.base_sensors import ACCELEROMETER, GYROSCOPE, ORIENTATION, POSE
 from idtool.data.logs import JointLog
 from idtool.data.logs.sensor_channels import finite_samples
 
@@ -18,6 +18,7 @@ _FLAG = re.compile(r"contact_(.+)")
 _FORCE = re.compile(r"force_(.+)_x")
 _AVERAGE = 0.1  # s, over which the noise of an IMU averages out
 _MAX_RATE = 0.02  # rad/s, rms, of a base that stands still
+_MAX_POSE_CHANGE = 1e-3  # m and rad/2, rms, of such a base
 _MAX_ACCELERATION = 0.2  # m/s², rms, by which that of such a base changes
 
 
@@ -29,10 +30,12 @@ class LoggedSensors:
     ----------
     has_imu
         True if all logs have angular velocity and acceleration.
+    has_pose
+        True if all logs have the pose of the base.
     has_orientation
-        True if all logs have the orientation of the IMU.
+        True if all logs have the orientation of the IMU, or no IMU and a pose.
     base_moves
-        True if the IMU moves in some log.
+        True if the IMU, or without one the pose, moves in some log.
     flags
         Channel of each contact flag, by the name of the contact.
     wrenches
@@ -42,6 +45,7 @@ class LoggedSensors:
     """
 
     has_imu: bool
+    has_pose: bool
     has_orientation: bool
     base_moves: bool
     flags: Mapping[str, str]
@@ -56,12 +60,20 @@ class LoggedSensors:
         shared = [name for name in every if all(name in names for names in by_log)]
         imu = (*GYROSCOPE, *ACCELEROMETER)
         has_imu = all(name in shared for name in imu) and all(_changes(log, imu) for log in logs)
+        has_pose = all(name in shared for name in POSE) and all(_changes(log, POSE) for log in logs)
+        if has_imu:
+            has_orientation = all(name in shared for name in ORIENTATION)
+            base_moves = any(map(_base_moves, logs))
+        else:
+            has_orientation = has_pose
+            base_moves = has_pose and any(_change(log, POSE) > _MAX_POSE_CHANGE for log in logs)
         wrenches = {name: own for name, own in _wrenches(shared).items() if all(_changes(log, own) for log in logs)}
         flags = {found[1]: name for name in shared if (found := _FLAG.fullmatch(name))}
         return cls(
             has_imu=has_imu,
-            has_orientation=all(name in shared for name in ORIENTATION),
-            base_moves=has_imu and any(map(_base_moves, logs)),
+            has_pose=has_pose,
+            has_orientation=has_orientation,
+            base_moves=base_moves,
             flags=flags,
             wrenches=wrenches,
             in_some_logs=tuple(name for name in every if name not in shared),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from idtool.common.names import join_names
+from idtool.data.base_sensors import POSE_CUTOFF
 from idtool.dynamics.effects import effect_types
 from idtool.robot.config import Config, Friction
 from idtool.setup.draft import Draft
@@ -100,7 +101,13 @@ def low_pass(draft: Draft) -> ConfigSection:
             " Torque that is computed from commands contains the encoders' noise, which would be mistaken for inertia "
             "with a higher cut-off."
         )
-    return ConfigSection("filter", (what,), {"kind": "butterworth", "cutoff_hz": seen.cutoff_hz, "order": 4})
+    cutoff_hz = seen.cutoff_hz
+    if draft.uses_pose and cutoff_hz > POSE_CUTOFF:
+        cutoff_hz = POSE_CUTOFF
+        what += (
+            f" With a pose of the base, at most {POSE_CUTOFF:g} Hz: its noise grows with the square of the frequency."
+        )
+    return ConfigSection("filter", (what,), {"kind": "butterworth", "cutoff_hz": cutoff_hz, "order": 4})
 
 
 def friction(draft: Draft) -> ConfigSection:

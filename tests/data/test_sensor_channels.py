@@ -12,7 +12,7 @@ from ground.quadruped import true_quadruped
 from mcap.records import Schema
 
 from idtool.common.exceptions import LogError
-from idtool.data.base_sensors import BaseSensors, needed_channels
+from idtool.data.base_sensors import ImuSensors, needed_channels
 from idtool.data.contact_channels import ContactChannels
 from idtool.data.filters import DIFFERENCE_REACH
 from idtool.data.logs import JointLog, make_log, read_log
@@ -116,7 +116,7 @@ def test_sign_of_a_quaternion_means_nothing() -> None:
     config = config_of(contacts=[{"name": "foot", "link": "calf", "radius": 0.02}])
     log = with_sensors(log_of({**channels, **still}), needed_channels(config))
     at = np.arange(0.1, 1.9, DT)
-    found = BaseSensors(log, config, ROOT).world_to_base(at)
+    found = ImuSensors(log, ROOT, 0.0).world_to_base(at)
     expected = np.stack([0 * at, np.sin(1.5 * np.pi * at), np.cos(1.5 * np.pi * at)])
     np.testing.assert_allclose(found[:, 2], expected, atol=1e-4)
 
@@ -137,7 +137,8 @@ def test_lever_arm_and_delay_of_the_imu_are_undone() -> None:
         channels[f"imu_w{axis}"] = Channel(t, own_w)
         channels[f"imu_a{axis}"] = Channel(t, own_a)
     config = config_of(base={"kind": "floating", "imu": {"delay": delay}})
-    sensors = BaseSensors(with_sensors(log_of(channels), needed_channels(config)), config, Frame(0, turn, lever_arm))
+    log = with_sensors(log_of(channels), needed_channels(config))
+    sensors = ImuSensors(log, Frame(0, turn, lever_arm), config.base.imu.known_delay)
     at = np.arange(0.2, 1.8, DT)
     v, a = sensors.kinematics(at, DT, identity)
     inner = at[2 * DIFFERENCE_REACH : -2 * DIFFERENCE_REACH]

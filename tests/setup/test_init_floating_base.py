@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from ground.logs import Recording, config_text, record, write_csv, write_mcap
+from ground.plant import Physics
 from ground.quadruped import FEET, FOOT_RADIUS, JOINTS, true_quadruped
 from ground.robot import Array, prior_robot, urdf_text
 from sensor_arm import CHANNELS, SENSOR, write_log
@@ -160,3 +162,54 @@ def test_sign_of_a_wrench_sensor_is_found(tmp_path: Path, sign: int, with_torque
     rows = [name for name in fit.rms.train if name.startswith(SENSOR)]
     assert len(rows) == len(CHANNELS)
     assert max(fit.rms.train[name] for name in rows) < 0.05  # N, N m; the arm weighs 3.4 kg
+
+
+def without_balls(urdf: Path, geometry: str = "") -> None:
+    """Give the feet another geometry in place of their balls."""
+    urdf.write_text(urdf.read_text().replace(BALL, geometry))
+
+
+def test_radius_of_feet_without_a_sphere_is_found_by_how_they_roll(
+    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
+) -> None:
+    without_balls(urdf)
+    first = first_config(urdf, logs_of(tmp_path, recordings), NO_TRIALS)
+    radii = [contact["radius"] for contact in first.data["contacts"] if contact["name"] in FEET]
+    assert len(radii) == len(FEET)
+    assert len(set(radii)) == 1
+    value, error = map(float, re.findall(r"([\d.]+) ± ([\d.]+) m, by how they roll", first.text)[0])
+    assert value == pytest.approx(radii[0], abs=5e-4)
+    assert abs(value - FOOT_RADIUS) < 2 * error  # soft feet seem to be smaller
+    assert error < 0.3 * FOOT_RADIUS
+    assert "radius of FL_foot, FR_foot, RL_foot, RR_foot: unknown" not in first.text
+
+
+def test_radius_is_left_to_the_user_without_standing_and_where_a_foot_slips(
+    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
+) -> None:
+    without_balls(urdf)
+    hanging = {"hang": recordings["hang"]}
+    on_ice = record(TRUTH, "stand", 5.0, seed=0, physics=Physics(slippery_feet={"FL_foot": 0.05}))
+    for logs in (hanging, {"stand": on_ice}):
+        first = first_config(urdf, logs_of(tmp_path, logs), NO_TRIALS)
+        assert not any("radius" in contact for contact in first.data["contacts"])
+        assert "contacts.radius" in [item.key for item in first.todo]
+
+
+def test_mesh_that_is_round_bounds_the_radius(tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]) -> None:
+    """Without standing, which tells more."""
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.03)
+    ball.apply_translation([0.0, 0.0, 0.005])
+    ball.export(tmp_path / "foot.stl")
+    without_balls(urdf, '<collision><geometry><mesh filename="foot.stl"/></geometry></collision>')
+    hanging = first_config(urdf, logs_of(tmp_path, {"hang": recordings["hang"]}), NO_TRIALS)
+    contacts = {contact["name"]: contact for contact in hanging.data["contacts"]}
+    assert contacts["FL_foot"]["radius"] == pytest.approx(0.03, rel=0.02)
+    assert contacts["FL_foot"]["point"] == pytest.approx([0, 0, 0.005], abs=1e-3)
+    assert "of a ball about the mesh" in hanging.text
+    standing = first_config(urdf, logs_of(tmp_path, {"stand": recordings["stand"]}), NO_TRIALS)
+    contacts = {contact["name"]: contact for contact in standing.data["contacts"]}
+    assert contacts["FL_foot"]["radius"] < 0.027
+    assert "of a ball about the mesh" not in standing.text

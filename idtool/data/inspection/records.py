@@ -20,6 +20,8 @@ FaultKind = Literal[
     "velocity_lag",
     "time_jitter",
     "wrapped_position",
+    "imu_mount",
+    "foot_slip",
 ]
 FAULT_KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
 

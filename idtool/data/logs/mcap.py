@@ -70,7 +70,7 @@ def read(
         If a file is damaged, or there is not exactly one topic to read.
     """
     topics = TopicReader(path, topic, messages)
-    sensor_topics = SensorTopics(path, sensors.imu_topic, messages) if sensors is not None else None
+    sensor_topics = SensorTopics(path, sensors, messages) if sensors is not None else None
     truncated: dict[int, str] = {}  # names of truncated files by their number
     for i, file in enumerate(log_files(path)):
         topics.begin_file(file)

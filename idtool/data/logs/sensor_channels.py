@@ -17,9 +17,13 @@ from idtool.common.names import count_text, join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.data.logs.log import Channel, JointLog
 
-SENSOR_CHANNEL = re.compile(r"imu_(q[wxyz]|[wa][xyz])|contact_.+|force_.+_m?[xyz]")
+SENSOR_CHANNEL = re.compile(r"imu_(q[wxyz]|[wa][xyz])|base_q?[xyz]|base_qw|contact_.+|force_.+_m?[xyz]")
 
-_QUATERNION = ("imu_qw", "imu_qx", "imu_qy", "imu_qz")
+_QUATERNIONS = {
+    "IMU": ("imu_qw", "imu_qx", "imu_qy", "imu_qz"),
+    "pose": ("base_qw", "base_qx", "base_qy", "base_qz"),
+}
+_QUATERNION_SIZE = 4
 _MIN_NORM = 0.5  # of a quaternion; drivers publish zeros as long as they know no orientation
 _MAX_CLOCK_ERROR = 86_400.0  # s, from a flag to the joints, beyond which it has another clock
 _MAX_STEPS = 10.0  # from one sample of a channel to the next, in median steps, beyond which it has a gap
@@ -33,9 +37,16 @@ class SensorOptions:
     ----------
     imu_topic
         Topic of the IMU; None: the only one.
+    pose_topic
+        Topic of the base's pose; None: the only one.
+    needs_imu, needs_pose
+        True to refuse several topics of which none is chosen; else none of them is read.
     """
 
     imu_topic: str | None = None
+    pose_topic: str | None = None
+    needs_imu: bool = True
+    needs_pose: bool = False
 
 
 def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
@@ -71,9 +82,10 @@ def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
         elif len(channels[name].t) < 2:
             what = f"channel {printable(name)} has no values; log this sensor, or leave it out of the configuration"
             raise LogError(log.path, what)
-    orientation = {name: channels[name] for name in _QUATERNION if name in channels}
-    if orientation:
-        channels |= _continuous_orientation(orientation, log)
+    for sensor, names_of_quaternion in _QUATERNIONS.items():
+        orientation = {name: channels[name] for name in names_of_quaternion if name in channels}
+        if orientation:
+            channels |= _continuous_orientation(sensor, orientation, log)
     is_missing = np.zeros(len(log), dtype=bool)
     for name, channel in channels.items():
         if not is_flag(name):
@@ -135,14 +147,14 @@ def _closed_before(flag: Channel, log: JointLog) -> Channel:
     return Channel(np.concatenate([[start], flag.t]), np.concatenate([[1.0], flag.x]))
 
 
-def _continuous_orientation(parts: Mapping[str, Channel], log: JointLog) -> dict[str, Channel]:
+def _continuous_orientation(sensor: str, parts: Mapping[str, Channel], log: JointLog) -> dict[str, Channel]:
     """The four parts of a quaternion, whose sign means nothing, without jumps of the sign and without zeros."""
-    if len(parts) < len(_QUATERNION) or len({len(part.t) for part in parts.values()}) > 1:
+    if len(parts) < _QUATERNION_SIZE or len({len(part.t) for part in parts.values()}) > 1:
         return dict(parts)
     quaternions = np.stack([part.x for part in parts.values()])
     is_known = np.linalg.norm(quaternions, axis=0) > _MIN_NORM
     if is_known.sum() < 2:
-        what = f"the orientation of the IMU ({join_names(list(parts))}) is zero; log the orientation from link to world"
+        what = f"the orientation of the {sensor} ({join_names(list(parts))}) is zero; log it, from link to world"
         raise LogError(log.path, what)
     quaternions = quaternions[:, is_known]
     is_reversed = (quaternions[:, 1:] * quaternions[:, :-1]).sum(axis=0) < 0

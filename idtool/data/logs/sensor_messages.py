@@ -18,8 +18,10 @@ from idtool.data.logs.sensor_channels import finite_samples
 from idtool.data.logs.sensor_topics import channel_part
 
 _IMU, _WRENCH, _FLAG = "sensor_msgs/Imu", "geometry_msgs/WrenchStamped", "std_msgs/Bool"
+_POSE = "geometry_msgs/PoseStamped"
 _PATTERNS = (  # of channels: type of the messages, and topic
     (re.compile(r"imu_.+"), _IMU, "/imu"),
+    (re.compile(r"base_.+"), _POSE, "/pose"),
     (re.compile(r"force_(.+)_m?[xyz]"), _WRENCH, "/force/{}"),
     (re.compile(r"contact_(.+)"), _FLAG, "/contact/{}"),
 )

@@ -1,4 +1,4 @@
-"""`SensorTopics`: the topics of MCAP files with IMU, contacts and wrenches, as channels.
+"""`SensorTopics`: the topics of MCAP files with IMU, pose, contacts and wrenches, as channels.
 
 A topic's name without its slashes is part of the channels' names: a wrench on /force/FL_foot becomes
 ``force_FL_foot_x``, a flag on /contact/FL_foot ``contact_FL_foot``. The messages of the joints' states may have
@@ -24,10 +24,25 @@ from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, RecordBatch
 from idtool.data.logs.message_options import FieldSource, MessageOptions, find_field_source
 from idtool.data.logs.payloads import sensor_decoder_for
 from idtool.data.logs.payloads.base import Decoder, FieldError, MissingFieldError, PayloadError
+from idtool.data.logs.sensor_channels import SensorOptions
 from idtool.data.logs.times import convert_to_seconds
 
 _MIN_TIMES = 16  # by which the unit of a topic's stamps is judged, which in JSON may be numbers
 _PREFIXES = ("force_", "contact_")  # that a topic may have already
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of sensor of which a log may have several topics: begin of its channels, its name, and its key."""
+
+    prefix: str
+    article: str
+    word: str
+    key: str
+
+
+_IMU = _Kind("imu_", "an", "IMU", "base.imu.topic")
+_POSE = _Kind("base_", "a", "pose", "base.pose.topic")
 
 
 @dataclass
@@ -56,15 +71,15 @@ class SensorTopics:
     ----------
     path
         The log; errors name it.
-    imu
-        The topic of the IMU; None: that of the joints' states if it has one, or else the only one.
+    sensors
+        The topics of the IMU and of the pose; None: those of the joints' states if they have one, or else the only one.
     options
         Which fields of other messages to read.
     """
 
-    def __init__(self, path: Path, imu: str | None, options: MessageOptions) -> None:
+    def __init__(self, path: Path, sensors: SensorOptions, options: MessageOptions) -> None:
         self._path = path
-        self._imu = imu
+        self._sensors = sensors
         self._options = options
         self._definitions = Definitions(path)
         self._by_channel: dict[int, _Topic] = {}
@@ -101,7 +116,12 @@ class SensorTopics:
     @property
     def imus(self) -> tuple[str, ...]:
         """The topics that carry an IMU, with messages."""
-        return tuple(name for name, topic in self._topics.items() if topic.times and _has_imu(topic))
+        return tuple(name for name, topic in self._topics.items() if topic.times and _carries(topic, _IMU))
+
+    @property
+    def poses(self) -> tuple[str, ...]:
+        """The topics that carry a pose, with messages."""
+        return tuple(name for name, topic in self._topics.items() if topic.times and _carries(topic, _POSE))
 
     @property
     def notices(self) -> tuple[Notice, ...]:
@@ -130,7 +150,7 @@ class SensorTopics:
         Raises
         ------
         LogError
-            If several topics carry an IMU and none is chosen, or the chosen one does not.
+            If several topics carry an IMU or a pose that is needed and none is chosen, or the chosen one does not.
         """
         topics = {}
         for name, topic in self._topics.items():
@@ -139,16 +159,11 @@ class SensorTopics:
             if topic.times and (name == states_topic or not topic.is_addressed):
                 topics[name] = topic
         empty_topics = {name: topic for name, topic in self._topics.items() if topic.is_empty}
-        imus = [name for name, topic in topics.items() if _has_imu(topic)]
-        imu = states_topic if self._imu is None and states_topic in imus else self._imu
-        if self._imu in empty_topics and _has_imu(empty_topics[self._imu]):
-            raise LogError(self._path, f"base.imu.topic: no messages on topic {printable(self._imu)}")
-        if self._imu is not None and self._imu not in imus:
-            what = f"base.imu.topic: no IMU on topic {printable(self._imu)}; {suggestion(self._imu, imus)}"
-            raise LogError(self._path, what)
-        if imu is None and len(imus) > 1:
-            what = f"{len(imus)} topics carry an IMU; set base.imu.topic to one of {join_names(imus)}"
-            raise LogError(self._path, what)
+        options = self._sensors
+        chosen = {
+            _IMU: self._choose(topics, _IMU, options.imu_topic, states_topic, options.needs_imu),
+            _POSE: self._choose(topics, _POSE, options.pose_topic, states_topic, options.needs_pose),
+        }
         channels = {}
         for name, topic in topics.items():
             t = np.concatenate(topic.times)
@@ -157,13 +172,32 @@ class SensorTopics:
             values = np.concatenate(topic.values)
             used_channels = [channel for channel in topic.channels if channel]
             for channel, x in zip(used_channels, values.T, strict=True):
-                is_of_other_imu = _is_of_imu(channel) and imu not in (None, name)
-                if not is_of_other_imu:
+                kind = next((kind for kind in chosen if channel.startswith(kind.prefix)), None)
+                if kind is None or chosen[kind] == name:
                     channels[channel] = Channel(t, np.ascontiguousarray(x))
         for topic in empty_topics.values():
             for channel in filter(None, topic.channels):
                 channels.setdefault(channel, Channel(np.empty(0), np.empty(0)))
         return channels
+
+    def _choose(
+        self, topics: dict[str, _Topic], kind: _Kind, given: str | None, states_topic: str, is_needed: bool
+    ) -> str | None:
+        """The topic of a kind of sensor that is read; None if there is none, or several and none is needed."""
+        names = [name for name, topic in topics.items() if _carries(topic, kind)]
+        if given is not None:
+            if given in self._topics and self._topics[given].is_empty and _carries(self._topics[given], kind):
+                raise LogError(self._path, f"{kind.key}: no messages on topic {printable(given)}")
+            if given not in names:
+                what = f"{kind.key}: no {kind.word} on topic {printable(given)}; {suggestion(given, names)}"
+                raise LogError(self._path, what)
+            return given
+        if states_topic in names:
+            return states_topic
+        if len(names) > 1 and is_needed:
+            what = f"{len(names)} topics carry {kind.article} {kind.word}; set {kind.key} to one of {join_names(names)}"
+            raise LogError(self._path, what)
+        return names[0] if len(names) == 1 else None
 
     def _sensor_topic(self, definition: ChannelDefinition, schema: Schema) -> _Topic | None:
         """A topic of a sensor, or of messages with addressed fields; None if it is neither."""
@@ -211,12 +245,8 @@ class SensorTopics:
             topic.values.append(np.array(piece.signals["sensor"][:, used], dtype=np.float64))
 
 
-def _is_of_imu(channel: str) -> bool:
-    return channel.startswith("imu_")
-
-
-def _has_imu(topic: _Topic) -> bool:
-    return any(map(_is_of_imu, topic.channels))
+def _carries(topic: _Topic, kind: _Kind) -> bool:
+    return any(channel.startswith(kind.prefix) for channel in topic.channels)
 
 
 def channel_part(topic: str) -> str:

@@ -11,6 +11,7 @@ from idtool.data.logs.mcap import matches
 from idtool.data.logs.mcap_file import open_mcap
 from idtool.data.logs.mcap_records import RecordBatch
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
+from idtool.data.logs.sensor_channels import SensorOptions
 from idtool.data.logs.sensor_topics import SensorTopics
 from idtool.data.logs.topics import TopicReader
 
@@ -43,12 +44,23 @@ def imu_topics(path: Path, options: MessageOptions = DEFAULT_MESSAGES) -> tuple[
     LogError
         If the log cannot be read.
     """
-    topics = SensorTopics(path, None, options)
+    return sensor_topics(path, options).imus
+
+
+def sensor_topics(path: Path, options: MessageOptions = DEFAULT_MESSAGES) -> SensorTopics:
+    """The topics of sensors in an MCAP file or rosbag2 folder; none in other formats.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be read.
+    """
+    topics = SensorTopics(path, SensorOptions(), options)
     for part in _mcap_files(path):
         topics.begin_file(part)
         for batch in _batches(path, part):
             topics.read(batch)
-    return topics.imus
+    return topics
 
 
 def _mcap_files(path: Path) -> tuple[Path, ...]:

@@ -16,6 +16,8 @@ stale               a channel repeats values while it, or the joint, changes: he
 velocity_lag        the measured velocity is late against the position; it is undone
 time_jitter         stamps that are not even, or samples that were not taken at their stamps
 wrapped_position    the position jumps by full turns
+imu_mount           the IMU is turned against its link in the URDF
+foot_slip           a foot slips on the ground, or is in the air while its flag is set
 =================== ==================================================================================================
 """
 
@@ -36,6 +38,7 @@ from idtool.diagnosis.data_faults.channel_fit import ChannelFit
 from idtool.diagnosis.data_faults.channel_search import ChannelSearch
 from idtool.diagnosis.data_faults.torque_scale import clipped_torque, wrong_torque_unit
 from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.dataset.kinematic_checks import KINEMATIC_FAULTS
 
 __all__ = ["find_data_faults"]
 
@@ -69,6 +72,9 @@ def find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Notice
         if wrong_time:  # with it, all derivatives are wrong
             return tuple(wrong_time)
         faults += [(k, fault) for fault in own]
+        for notice in experiment.runs[k].signals.notices:
+            if notice.code in KINEMATIC_FAULTS:
+                faults.append((k, notice))
     if not experiment.has_only_joints:  # the torque of its joints says nothing without the contact forces
         return _merged(faults, [log.path.name for log in logs])
     faults += [(None, fault) for fault in _model_faults(experiment, ChannelFit(experiment), inspections, progress)]

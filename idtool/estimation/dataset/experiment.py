@@ -13,7 +13,7 @@ from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.data.base_sensors import BaseSensors, needed_channels, sensor_options, sensor_step
+from idtool.data.base_sensors import POSE, BaseSensors, band_limit, needed_channels, sensor_options, sensor_step
 from idtool.data.contact_channels import ContactChannels
 from idtool.data.controller import with_unknown_torque, without_constant_torque
 from idtool.data.inspection.imu_findings import dead_imu_sensors, imu_findings
@@ -32,6 +32,7 @@ from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks
 from idtool.estimation.dataset.contact_detection import is_foot, with_detected_contacts
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.imu_delay import with_imu_delay
+from idtool.estimation.dataset.kinematic_checks import kinematic_notices
 from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.estimation.dataset.weights import initial_row_noise
 from idtool.estimation.dataset.wrench_sensor_sign import sign_notices
@@ -113,7 +114,7 @@ class Experiment:
             notices.append(Notice("contacts_not_simulated", "note", None, message))
         for run in self.runs:
             for notice in (*run.signals.log.notices, *run.signals.notices):
-                notices.append(notice.about(run.signals.log.path.name) if len(self.runs) > 1 else notice)
+                notices.append(notice.in_log(run.signals.log.path.name) if len(self.runs) > 1 else notice)
         return tuple(notices)
 
     def _same_recording_notices(self) -> Iterator[Notice]:
@@ -340,6 +341,9 @@ def prepare(
     for log in every:
         _check_signals(log, model.joint_names)
         _check_sensors(log, config)
+    if config.filter.cutoff_hz is None and config.base.uses_pose:  # of which there are noisy derivatives beyond
+        highest = min(default_cutoff(max(log.dt, sensor_step(log, config))) for log in every)
+        config = _with_band(config, min(band_limit(config), highest))
     _check_detected_contacts(model, config)
     if model.has_floating_base:
         fitted = [with_detected_contacts(log, model, config) for log in fitted]
@@ -352,11 +356,15 @@ def prepare(
     )
     equalities = equality_constraints(config, model, equation)
     if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
-        band = min(default_cutoff(max(log.dt, sensor_step(log, config))) for log in every)
-        config = config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": band})})
+        config = _with_band(config, min(default_cutoff(max(log.dt, sensor_step(log, config))) for log in every))
     runs = [_split(signals_of(log, model, config), 0.0 if validate else holdout) for log in fitted]
     runs += [_split(signals_of(log, model, config), 1.0) for log in validated]
     return Experiment(config, with_equal_bounds(model, equalities), equation, equalities, tuple(runs))
+
+
+def _with_band(config: Config, cutoff_hz: float) -> Config:
+    """The configuration with a cut-off of the low-pass [Hz]."""
+    return config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": cutoff_hz})})
 
 
 def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
@@ -373,6 +381,7 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
     signals = Signals(log, model.joint_names, config, base_sensors, wrench_channels, contact_channels)
     if base_sensors is not None:
         signals.notices += imu_findings(log)
+        signals.notices += kinematic_notices(signals, model, config)
     signals.notices += sign_notices(signals, model, config)
     return signals
 
@@ -451,7 +460,12 @@ def _check_sensors(log: JointLog, config: Config) -> None:
         if is_dead(log, sensor.logged_channels):
             what = f"the wrench sensor at {sensor.joint} reads the same all the time; log it, or remove it"
             raise LogError(log.path, what)
-    if config.base.kind == "floating" and (dead := dead_imu_sensors(log)):
+    if config.base.kind != "floating":
+        return
+    if config.base.pose is not None and is_dead(log, POSE):
+        what = "the pose of the base reads the same all the time; log it, or remove base.pose"
+        raise LogError(log.path, what)
+    if not config.base.uses_pose and (dead := dead_imu_sensors(log)):
         what = f"the {dead} of the IMU reads the same all the time"
         raise LogError(log.path, f"{what}; log what it measures, or set base.kind: fixed if the base stands still")
 

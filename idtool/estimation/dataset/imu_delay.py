@@ -61,20 +61,20 @@ def with_imu_delay(config: Config, model: RobotModel, logs: Sequence[JointLog]) 
         The logs, with the sensors of the base and the flags of all contacts.
     """
     delay = estimate_imu_delay(config, model, logs)
-    present_delay = config.base.imu.known_delay
+    sensor = config.base.sensor
+    name = config.base.sensor_name
+    present_delay = sensor.known_delay
     if delay is None:
         return config, []
     difference = abs(delay.value - present_delay)
     if difference < _MIN_SIGNIFICANCE * delay.standard_error:
         return config, []
-    if config.base.imu.delay != "auto":
+    if sensor.delay != "auto":
         message = f"it is {delay.text} late against the joints; a delay of {1e3 * present_delay:.3g} ms is given"
-        return config, [Notice("imu_delay", "warning", "imu", message, "set base.imu.delay to auto")]
+        return config, [Notice("imu_delay", "warning", name, message, f"set base.{name}.delay to auto")]
     message = f"it is {delay.text} late against the joints; idtool corrects it"
-    imu = config.base.imu.model_copy(update={"delay": delay.value})
-    base = config.base.model_copy(update={"imu": imu})
-    corrected = config.model_copy(update={"base": base})
-    return corrected, [Notice("imu_delay", "note", "imu", message)]
+    corrected = config.model_copy(update={"base": config.base.with_delay(delay.value)})
+    return corrected, [Notice("imu_delay", "note", name, message)]
 
 
 def estimate_imu_delay(config: Config, model: RobotModel, logs: Sequence[JointLog]) -> ImuDelay | None:
@@ -97,9 +97,7 @@ def _delay_in_log(config: Config, model: RobotModel, log: JointLog) -> ImuDelay 
         return None
     feet = tuple(foot.with_unknown_wrench().model_copy(update={"widen": 0.0}) for foot in flagged)
     # orientation and gyroscope as they are stamped
-    imu = config.base.imu.model_copy(update={"delay": 0.0})
-    base = config.base.model_copy(update={"imu": imu})
-    settings = config.model_copy(update={"base": base, "contacts": feet})
+    settings = config.model_copy(update={"base": config.base.with_delay(0.0), "contacts": feet})
     sensors = BaseSensors.of_log(log, model, settings)
     if sensors is None:
         return None

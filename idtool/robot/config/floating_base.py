@@ -48,17 +48,55 @@ class Imu(ConfigRecord):
         return 0.0 if self.delay == "auto" else float(self.delay)
 
 
-class Base(ConfigRecord):
-    """The root link: fixed to the ground, or floating, its motion measured by an IMU.
+class Pose(ConfigRecord):
+    """Position and orientation of the base by motion capture or odometry.
 
-    ``link`` names it, by default the URDF's root. ``noise`` is that of the joints' torques and of the base's force and
-    moment [N·m or N], by which unknown contact forces are eliminated; a fit determines it.
+    ``link`` is the link whose pose it is, by default the base's; ``topic`` is needed if an MCAP log has several;
+    ``delay`` is how late it is against the joints [s], which ``auto`` determines.
+    """
+
+    link: Name | None = None
+    topic: Name | None = None
+    delay: Annotated[Literal["auto"] | Delay, BeforeValidator(_delay)] = "auto"
+
+    @property
+    def known_delay(self) -> float:
+        """The delay [s]; 0 as long as ``auto`` has not determined it."""
+        return 0.0 if self.delay == "auto" else float(self.delay)
+
+
+class Base(ConfigRecord):
+    """The root link: fixed to the ground, or floating, its motion measured by an IMU or by a pose.
+
+    ``link`` names it, by default the URDF's root. A ``pose`` is used if no ``imu`` is given, and else compared with it.
+    ``noise`` is that of the joints' torques and of the base's force and moment [N·m or N], by which unknown contact
+    forces are eliminated; a fit determines it.
     """
 
     kind: Literal["fixed", "floating"] = "fixed"
     link: Name | None = None
     imu: Imu = Imu()
+    pose: Pose | None = None
     noise: dict[str, Positive] = Field(default_factory=dict)
+
+    @property
+    def uses_pose(self) -> bool:
+        """True if the motion follows from the pose alone."""
+        return self.pose is not None and "imu" not in self.model_fields_set
+
+    @property
+    def sensor(self) -> Imu | Pose:
+        """The sensor that the motion follows from."""
+        return self.pose if self.pose is not None and self.uses_pose else self.imu
+
+    @property
+    def sensor_name(self) -> str:
+        """Key of that sensor."""
+        return "pose" if self.uses_pose else "imu"
+
+    def with_delay(self, delay: float) -> Base:
+        """A copy with another delay of that sensor [s]."""
+        return self.model_copy(update={self.sensor_name: self.sensor.model_copy(update={"delay": delay})})
 
 
 class Contact(ConfigRecord):

@@ -96,6 +96,8 @@ def _sensor_layout(message: bytes, sensor_type: SensorType) -> Layout:
     if sensor_type.has_header:
         stamp = cursor.skip(8, 4)
         cursor.skip(cursor.count())  # the name of the frame may differ between messages
+    for _ in range(sensor_type.texts):
+        cursor.skip(cursor.count())
     dtype = sensor_type.number_type(cursor.order)
     count = len(sensor_type.numbers)
     offset = cursor.skip(count * dtype.itemsize, dtype.itemsize)

@@ -1,6 +1,6 @@
 """Messages in CDR of sensors that are of no joint: the numbers in each, and the channels that they become.
 
-Source: the ROS 2 packages sensor_msgs, geometry_msgs and std_msgs.
+Source: the ROS 2 packages sensor_msgs, geometry_msgs, nav_msgs and std_msgs.
 """
 
 from __future__ import annotations
@@ -28,12 +28,15 @@ class SensorType:
         Channel of each number, in which {} stands for the name of the topic; empty: the number is not read.
     dtype
         Type of the numbers, without byte order.
+    texts
+        Number of texts between the header and the numbers.
     """
 
     definition: str
     has_header: bool
     numbers: tuple[str, ...]
     dtype: str = "f8"
+    texts: int = 0
 
     def channels(self, topic: str) -> tuple[str, ...]:
         """Channel of each number of a topic's messages; empty: the number is not read."""
@@ -65,6 +68,20 @@ _WRENCH = (
     f"std_msgs/Header header\ngeometry_msgs/Wrench wrench\n{_HEADER}"
     f"{_SEPARATOR}MSG: geometry_msgs/Wrench\ngeometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n{_VECTOR}"
 )
+_POSE = (*_named("base_", _AXES), *_named("base_q", _QUATERNION))
+_POSE_PARTS = (
+    f"{_SEPARATOR}MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n"
+    f"{_SEPARATOR}MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n"
+    f"{_SEPARATOR}MSG: geometry_msgs/Quaternion\nfloat64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
+)
+_POSE_STAMPED = f"std_msgs/Header header\ngeometry_msgs/Pose pose\n{_HEADER}{_POSE_PARTS}"
+_ODOMETRY = (
+    "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
+    f"geometry_msgs/TwistWithCovariance twist\n{_HEADER}{_POSE_PARTS}"
+    f"{_SEPARATOR}MSG: geometry_msgs/PoseWithCovariance\ngeometry_msgs/Pose pose\nfloat64[36] covariance\n"
+    f"{_SEPARATOR}MSG: geometry_msgs/TwistWithCovariance\ngeometry_msgs/Twist twist\nfloat64[36] covariance\n"
+    f"{_SEPARATOR}MSG: geometry_msgs/Twist\ngeometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n{_VECTOR}"
+)
 
 SENSOR_TYPES = {
     "sensor_msgs/Imu": SensorType(
@@ -84,5 +101,8 @@ SENSOR_TYPES = {
         has_header=True,
         numbers=(*_named("force_{}_", _AXES), *_named("force_{}_m", _AXES)),
     ),
+    "geometry_msgs/PoseStamped": SensorType(definition=_POSE_STAMPED, has_header=True, numbers=_POSE),
+    # the twist is not read
+    "nav_msgs/Odometry": SensorType(definition=_ODOMETRY, has_header=True, numbers=_POSE, texts=1),
     "std_msgs/Bool": SensorType(definition="bool data\n", has_header=False, numbers=("contact_{}",), dtype="u1"),
 }
