@@ -62,7 +62,7 @@ def sensor_step(log: JointLog, config: Config) -> float:
     """
     slow = {*ORIENTATION, *(contact.flag for contact in config.contacts)}
     names = [name for name in needed_channels(config) if name not in slow]
-    return max((float(np.median(np.diff(log.channels[name].t))) for name in names), default=0.0)
+    return max((log.channels[name].step for name in names), default=0.0)
 
 
 class BaseSensors:
@@ -91,6 +91,12 @@ class BaseSensors:
         imu_link = config.base.imu.link or model.robot.root
         return cls(log, config, model.frames[imu_link])
 
+    @property
+    def lookahead(self) -> float:
+        """Time after a sample until all values of the IMU that belong to it are there [s]."""
+        names = [*GYROSCOPE, *ACCELEROMETER, *(name for name in ORIENTATION if name in self._channels)]
+        return max(self._channels[name].step for name in names) + max(self._imu_delay, 0.0)
+
     def angular_velocity(self, t: Array) -> Array:
         """Angular velocity of the base as measured, at times [s] of N samples, shape (3, N) [rad/s]."""
         return np.asarray(self._imu_frame.R @ self._imu(GYROSCOPE, t))
@@ -106,7 +112,7 @@ class BaseSensors:
         dt
             Sample time [s].
         smooth
-            Zero-phase low-pass of the signals; it drops as many samples at both ends.
+            Low-pass of the signals; it drops those samples that it takes beside the ones that derivatives need.
         """
         reach = DIFFERENCE_REACH
         filtered_w = smooth(self.angular_velocity(t))
