@@ -56,16 +56,16 @@ def adapt(
         If a log, the configuration or the model cannot be used. Messages contain the option names of the command line.
     """
     from idtool.estimation.command_delay import with_delay
+    from idtool.estimation.dataset.experiment import NOT_SIMULATED
     from idtool.estimation.identification import choose_sets
     from idtool.estimation.online.adapt import adapt as identify_online
 
     report_progress = progress or ignore_progress
     loaded = load_experiment(model, logs, holdout=0.0, progress=report_progress)
-    loaded.config.require_only_joints("adapt")
     experiment, delay, _ = with_delay(loaded, report_progress)
     sets, set_notices = choose_sets(experiment.model.bodies, experiment.config.constraints)
     adaptation = identify_online(experiment, sets, forgetting, progress=report_progress)
-    notices = list(experiment.notices)
+    notices = [notice for notice in experiment.notices if notice.code not in NOT_SIMULATED]
     if delay:
         notices += delay.notices
     notices += set_notices

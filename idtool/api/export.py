@@ -109,8 +109,6 @@ def export(
     if source.is_file():
         source = source.parent
     identified = read_identified(source)
-    if to != "mujoco":
-        identified.config.require_fixed_base(f"export --to {to}" if to else "export --patch")
     inputs = [source / URDF, source / CONFIG]
     target = source
     if patch is not None:

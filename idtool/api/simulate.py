@@ -22,7 +22,7 @@ from idtool.common.notice import Notice
 from idtool.common.outputs import OutputError
 from idtool.common.units import position_units, units_text
 from idtool.data.logs import check_log_file, log_suffixes, write_log
-from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.dataset.experiment import NOT_SIMULATED, Experiment
 from idtool.estimation.evaluation.simulated_log import (
     SimulatedLog,
     as_command,
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from idtool.api.results import RecordingData
 
 LOG_NAME = "simulated.mcap"  # what the log is called in a folder
+_MOST_OF_LOG = 0.95  # of its time: what is not simulated beside this is needed by filters
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -215,7 +216,6 @@ def simulate(
     start = time.monotonic()
     report_progress = progress or ignore_progress
     model = as_model(model)
-    model.settings.require_only_joints("simulate")
     _check_options(model.settings, window, closed_loop, track)
     transform = as_logged
     if track:
@@ -252,17 +252,19 @@ def _choose_window(experiment: Experiment, window: float | None) -> float | None
 
 def _report(experiment: Experiment, simulated: SimulatedLog, wall_seconds: float) -> SimulationReport:
     """The record of the result, without the file."""
-    notices = [*experiment.notices, *_motion_notices(experiment, simulated)]
+    notices = [notice for notice in experiment.notices if notice.code not in NOT_SIMULATED]
+    notices += _motion_notices(experiment, simulated)
     return SimulationReport(
         file=None,
         joints=simulated.log.joints,
-        units=position_units(experiment.model.units),
+        units=_position_units(experiment.model),
         kind=simulated.kind,
         window=simulated.window,
         rollouts=simulated.rollouts,
         lost=simulated.diverged,
         samples=len(simulated.log),
         seconds=simulated.seconds,
+        log_seconds=simulated.log_seconds,
         wall_seconds=wall_seconds,
         rmse=MotionRmse(position=simulated.position or None, velocity=simulated.velocity or None),
         urdf=str(experiment.model.robot.path),
@@ -271,13 +273,26 @@ def _report(experiment: Experiment, simulated: SimulatedLog, wall_seconds: float
     )
 
 
+def _position_units(model: RobotModel) -> dict[str, str]:
+    """Unit of each joint's position."""
+    return position_units({name: model.units[name] for name in model.joint_names})
+
+
 def _motion_notices(experiment: Experiment, simulated: SimulatedLog) -> Iterator[Notice]:
-    """Notices about a motion that is not that of the log."""
+    """Notices about a motion that is not that of the log, or not of all of it."""
+    if experiment.equation.contacts is not None and simulated.seconds < _MOST_OF_LOG * simulated.log_seconds:
+        share = f"{simulated.seconds:.3g} s of {simulated.log_seconds:.3g} s"
+        message = f"simulated: {share}, in which no contact force acts on the joints"
+        yield Notice("simulated_without_contact", "note", None, f"{message}; the log has gaps elsewhere")
     if simulated.diverged:
         message = f"{simulated.diverged} of {simulated.rollouts} rollouts diverged; each ends where it diverged"
         yield Notice("simulation_diverged", "warning", None, message)
+    if experiment.config.wrench_sensors:
+        message = "the readings of wrench sensors are not simulated, and are left out of the log"
+        advice = "read it with a configuration without wrench_sensors"
+        yield Notice("wrench_sensors_not_simulated", "note", None, message, advice)
     if simulated.position:
-        units = units_text(position_units(experiment.model.units))
+        units = units_text(_position_units(experiment.model))
         error = simulated.position["overall"]
         motion = float(np.sqrt(np.nanvar(simulated.measured, axis=0).mean()))
         if error > motion:
@@ -287,7 +302,7 @@ def _motion_notices(experiment: Experiment, simulated: SimulatedLog) -> Iterator
             if simulated.kind == "open_loop":
                 advice = "torque errors add up under a logged torque: use --closed-loop, --track or a short --window"
             yield Notice("simulation_ran_away", "warning", None, message, advice)
-    if simulated.rollouts > len(experiment.runs[0].held_out):
+    if simulated.rollouts > simulated.stretches:
         message = f"every {simulated.window:g} s, the simulation restarts from the measured state, and the motion jumps"
         advice = "for a log without jumps, as diagnose --against needs it, use --closed-loop, --track or --window 0"
         yield Notice("simulation_restarted", "note", None, message, advice)

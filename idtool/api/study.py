@@ -80,7 +80,6 @@ def study(
         raise ConfigError("--draws", f"{draws} is too few; give {_MIN_DRAWS} or more")
     report_progress = progress or ignore_progress
     experiment = load_experiment(model, logs, validate, holdout, report_progress)
-    experiment.config.require_only_joints("study")
     comparison = compare(experiment, report_progress, draws)
     options = changed_options(study, holdout=holdout, draws=draws)
     result = StudyResult.from_result(study_report(comparison))

@@ -80,7 +80,7 @@ def sensor_step(log: JointLog, config: Config) -> float:
     """
     slow = {*ORIENTATION, *(contact.flag for contact in config.contacts)}
     names = [name for name in needed_channels(config) if name not in slow]
-    return max((float(np.median(np.diff(log.channels[name].t))) for name in names), default=0.0)
+    return max((log.channels[name].step for name in names), default=0.0)
 
 
 def band_limit(config: Config) -> float:
@@ -102,6 +102,11 @@ class BaseSensors(ABC):
         frame = model.frames[config.base.imu.link or model.robot.root]
         return ImuSensors(log, frame, config.base.imu.known_delay)
 
+    @property
+    @abstractmethod
+    def lookahead(self) -> float:
+        """Time after a sample until all values of the sensors that belong to it are there [s]."""
+
     @abstractmethod
     def angular_velocity(self, t: Array) -> Array:
         """Angular velocity of the base as measured, at evenly spaced times [s], shape (3, N) [rad/s]."""
@@ -118,7 +123,7 @@ class BaseSensors(ABC):
         dt
             Sample time [s].
         smooth
-            Zero-phase low-pass of the signals; it drops as many samples at both ends.
+            Low-pass of the signals; it drops those samples that it takes beside the ones that derivatives need.
         """
 
     @abstractmethod
@@ -143,6 +148,12 @@ class ImuSensors(BaseSensors):
         self._channels = log.channels
         self._imu_frame = frame
         self._imu_delay = delay
+
+    @property
+    @override
+    def lookahead(self) -> float:
+        names = [*GYROSCOPE, *ACCELEROMETER, *(name for name in ORIENTATION if name in self._channels)]
+        return max(self._channels[name].step for name in names) + max(self._imu_delay, 0.0)
 
     @override
     def angular_velocity(self, t: Array) -> Array:
@@ -202,6 +213,12 @@ class PoseSensors(BaseSensors):
         self._frame = frame
         self._delay = delay
         self._gravity = gravity
+
+    @property
+    @override
+    def lookahead(self) -> float:
+        nodes_after = _INTERPOLATION_NODES // 2
+        return nodes_after * max(self._channels[name].step for name in POSE) + max(self._delay, 0.0)
 
     @override
     def angular_velocity(self, t: Array) -> Array:

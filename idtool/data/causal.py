@@ -6,7 +6,8 @@ leaves it exact; the wide filter's delay is the same at all frequencies of the m
 band five times as narrow makes small. Differences are symmetric, and what is not differenced waits as many samples.
 
 Beforehand, and so from the whole log, comes only what a robot in operation knows from its calibration: the sample
-time and the segments, which velocity is used and how late it is, and the speed below which a joint counts as at rest.
+time and the segments, which velocity is used and how late it is, the speed below which a joint counts as at rest, how
+late the IMU is, and when a contact is closed whose flag is found from the torque.
 
 Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 """
@@ -14,13 +15,15 @@ Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy import signal
 
 from idtool.common.arrays import Array
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate
-from idtool.data.signals import BATCH_SAMPLES, WIDE_BAND_FACTOR, Batch, Motion, Signals
+from idtool.data.signals import BATCH_SAMPLES, WIDE_BAND_FACTOR, Batch, Motion, Signals, with_coordinates
 
 _MAX_CUT_WEIGHT = 1e-14  # of the response's weight may be forgotten: rounding
 _MAX_MISSING_WEIGHT = 0.02  # of it may be missing at the start of the data
@@ -121,7 +124,8 @@ class _MotionReader:
         self._wide = CausalLowPass(wide, order, log.dt) if wide < 0.4 / log.dt else None
         self._memory = self._wide.reach if self._wide else 0
         # Two differences, a velocity that is read later by its lag, a reading between two samples, a column's own.
-        lag_samples = int(np.ceil(max(float(signals.lag.max()), 0.0) / log.dt))
+        latest = max(float(signals.lag.max()), 0.0, signals.sensor_lookahead)
+        lag_samples = int(np.ceil(latest / log.dt))
         self.lookahead = 2 * DIFFERENCE_REACH + lag_samples + 1 + _COLUMN_REACH
 
     def usable_range(self, samples: slice) -> tuple[int, int]:
@@ -143,7 +147,7 @@ class _MotionReader:
             v = np.where(from_position, v, self._smooth(outer, "v")[:, r:-r])
         a = differentiate(v, dt)
         availability = self._channels.times(slice(part.start + self.lookahead, part.stop + self.lookahead))
-        return Motion(
+        motion = Motion(
             t=availability - self._signals.log.start,
             q=q[:, 2 * r : -2 * r],
             v=v[:, r:-r],
@@ -153,7 +157,48 @@ class _MotionReader:
             velocity_deadband=self._signals.velocity_deadband,
             dt=dt,
             log=self._signals.log.path.name,
+            unknown_torque=self._signals.unknown_torque,
         )
+        return self._with_sensors(motion, part)
+
+    def _with_sensors(self, motion: Motion, part: slice) -> Motion:
+        """Motion with the coordinates of wrench sensors and of a floating base, and with contacts."""
+        signals = self._signals
+        inner = partial(self._smooth_at, part)
+        if signals.wrench_channels is not None:
+            wrenches = signals.wrench_channels.wrenches(self._times_before(part), inner)
+            zero = np.zeros_like(wrenches)
+            motion = with_coordinates(motion, zero, zero, wrenches)
+        if signals.base_sensors is not None:
+            r = 2 * DIFFERENCE_REACH
+            outer = slice(part.start - r, part.stop + r)
+            smooth = partial(self._smooth_at, outer)
+            v, a = signals.base_sensors.kinematics(self._times_before(outer), signals.log.dt, smooth)
+            motion = with_coordinates(motion, v, a, np.zeros_like(v))
+        if signals.contact_channels is not None:
+            # flags and orientation are not filtered, and so are read when the filtered motion was
+            delay = self._wide.delay if self._wide else 0.0
+            times = self._channels.times(part) - delay
+            contacts = signals.contact_channels.samples(times, self._times_before(part), inner)
+            motion = replace(motion, contacts=contacts)
+        return motion
+
+    def _times_before(self, part: slice) -> Array:
+        """Times of samples and of those before them that the wide filter remembers [s]."""
+        return self._channels.times(slice(self._start(part), part.stop))
+
+    def _smooth_at(self, part: slice, x: Array) -> Array:
+        """Values at `_times_before` samples through the wide filter, at the samples."""
+        if not self._wide:
+            return x
+        return self._wide.filter_from_constant(x)[:, part.start - self._start(part) :]
+
+    def _start(self, part: slice) -> int:
+        """The first sample that the wide filter takes for samples of the log."""
+        if not self._wide:
+            return int(part.start)
+        first = self._first_sample(self._stretch_of(part.start))
+        return max(int(part.start) - self._memory, first)
 
     def _stretch_of(self, sample: int) -> slice:
         """The stretch that a sample lies in."""
@@ -166,11 +211,7 @@ class _MotionReader:
 
     def _smooth(self, part: slice, name: str) -> Array:
         """A signal through the wide filter, which starts as far before the part as it can remember."""
-        if not self._wide:
-            return self._read(name, part)
-        start = max(part.start - self._memory, self._first_sample(self._stretch_of(part.start)))
-        x = self._read(name, slice(start, part.stop))
-        return self._wide.filter_from_constant(x)[:, part.start - start :]
+        return self._smooth_at(part, self._read(name, slice(self._start(part), part.stop)))
 
     def _read(self, name: str, part: slice) -> Array:
         """A signal as it was logged, shape (nv, N); the controller's torque where none was."""

@@ -71,29 +71,39 @@ class ContactChannels:
             return None
         return cls(config.contacts, log.channels, base_sensors)
 
-    def samples(self, t: Array, smooth: Callable[[Array], Array]) -> ContactSamples:
-        """The contacts at the samples.
+    @property
+    def lookahead(self) -> float:
+        """Time after a sample until it is known if contacts are closed then, and their wrench is there [s]."""
+        latest = 0.0
+        for contact in self.contacts:
+            if contact.flag is not None:
+                latest = max(latest, contact.widen)
+            wrench = [*(contact.force or ()), *(contact.moment or ())]
+            latest = max([latest, *(self.channels[name].step for name in wrench)])
+        return latest
+
+    def samples(self, t: Array, outer: Array, smooth: Callable[[Array], Array]) -> ContactSamples:
+        """The contacts at N samples.
 
         Parameters
         ----------
         t
-            Times [s] of the samples and of those about them that ``smooth`` takes.
+            Times of the samples [s], shape (N,).
+        outer
+            Times of the samples and of those about them that ``smooth`` takes [s].
         smooth
-            Zero-phase low-pass of the signals; it drops as many samples at both ends.
+            Low-pass of the signals, from those at the outer times to those of the samples.
         """
-        filtered_count = smooth(t[None]).shape[1]
-        margin = (len(t) - filtered_count) // 2
-        inner = t[margin : len(t) - margin]
-        is_closed = np.ones((len(self.contacts), len(inner)), dtype=bool)
-        wrenches = np.zeros((len(self.contacts), 6, len(inner)))
+        is_closed = np.ones((len(self.contacts), len(t)), dtype=bool)
+        wrenches = np.zeros((len(self.contacts), 6, len(t)))
         for k, contact in enumerate(self.contacts):
             if contact.flag_channel is not None:
-                is_closed[k] = self.channels[contact.flag_channel].is_set(inner, contact.widen)
+                is_closed[k] = self.channels[contact.flag_channel].is_set(t, contact.widen)
             if contact.force is not None:
-                wrenches[k, :3] = contact.sign * smooth(self._values(contact.force, t))
+                wrenches[k, :3] = contact.sign * smooth(self._values(contact.force, outer))
             if contact.moment is not None:
-                wrenches[k, 3:] = contact.sign * smooth(self._values(contact.moment, t))
-        return ContactSamples(self._world_to_base(inner), is_closed, wrenches)
+                wrenches[k, 3:] = contact.sign * smooth(self._values(contact.moment, outer))
+        return ContactSamples(self._world_to_base(t), is_closed, wrenches)
 
     def _values(self, names: Sequence[str], t: Array) -> Array:
         """Values of channels at times, shape (channels, N)."""

@@ -216,6 +216,18 @@ class Signals:
         self._note_velocity_errors()
         self.velocity_deadband = self._measure_deadband()
 
+    @property
+    def sensor_lookahead(self) -> float:
+        """Time after a sample until all values of sensors that belong to it are there [s]."""
+        latest = 0.0
+        if self.wrench_channels is not None:
+            latest = max(latest, self.wrench_channels.lookahead)
+        if self.base_sensors is not None:
+            latest = max(latest, self.base_sensors.lookahead)
+        if self.contact_channels is not None:
+            latest = max(latest, self.contact_channels.lookahead)
+        return latest
+
     def _choose_velocity(self, config: Config) -> Mask:
         """True for the joints whose velocity is differentiated from q, shape (nv,)."""
         missing = ~self.channels.has_velocity
@@ -341,7 +353,8 @@ class Signals:
 
     def motion(self, part: slice, delays: Sequence[float] = ()) -> Motion:
         """Motion at samples of one of the `ranges`, with the torque for further delays of the commands [s]."""
-        t = self.channels.times(part) - self.log.start
+        times = self.channels.times(part)
+        t = times - self.log.start
         q, v, a = self._kinematics(part, self.velocity_from_position)
         (tau, *delayed), logged_tau = self._torques(part, (self.controller.delay, *delays))
         delayed_torques = np.array(delayed).reshape(-1, *tau.shape)
@@ -367,12 +380,12 @@ class Signals:
         if self.wrench_channels is not None:
             wrenches = self.wrench_channels.wrenches(inner, self._smooth)
             zero = np.zeros_like(wrenches)
-            motion = _with_coordinates(motion, zero, zero, wrenches)
+            motion = with_coordinates(motion, zero, zero, wrenches)
         if self.base_sensors is not None:
             v, a = self.base_sensors.kinematics(outer, self.log.dt, self._smooth)
-            motion = _with_coordinates(motion, v, a, np.zeros_like(v))
+            motion = with_coordinates(motion, v, a, np.zeros_like(v))
         if self.contact_channels is not None:
-            motion = replace(motion, contacts=self.contact_channels.samples(inner, self._smooth))
+            motion = replace(motion, contacts=self.contact_channels.samples(times, inner, self._smooth))
         return motion
 
     def _kinematics(self, part: slice, from_position: Mask) -> tuple[Array, Array, Array]:
@@ -408,9 +421,12 @@ class Signals:
         return self._smooth(tau), tau[0, :, m : m + part.stop - part.start]
 
 
-def _with_coordinates(motion: Motion, v: Array, a: Array, tau: Array) -> Motion:
+def with_coordinates(motion: Motion, v: Array, a: Array, tau: Array) -> Motion:
     """Motion with further coordinates, shape (k, N), whose position is 0."""
-    delayed = np.repeat(tau[None], len(motion.delayed_torques), axis=0)
+    delayed_torques = motion.delayed_torques
+    if len(delayed_torques):
+        delayed = np.repeat(tau[None], len(delayed_torques), axis=0)
+        delayed_torques = np.concatenate([delayed_torques, delayed], axis=1)
     return replace(
         motion,
         q=np.concatenate([motion.q, np.zeros_like(v)]),
@@ -419,7 +435,7 @@ def _with_coordinates(motion: Motion, v: Array, a: Array, tau: Array) -> Motion:
         tau=np.concatenate([motion.tau, tau]),
         logged_tau=np.concatenate([motion.logged_tau, tau]),
         velocity_deadband=np.append(motion.velocity_deadband, np.full(len(v), _MIN_DEADBAND)),
-        delayed_torques=np.concatenate([motion.delayed_torques, delayed], axis=1),
+        delayed_torques=delayed_torques,
     )
 
 

@@ -43,6 +43,11 @@ class WrenchChannels:
             to_body.append(model.wrench_sensors[sensor.joint])
         return cls(channels, to_body)
 
+    @property
+    def lookahead(self) -> float:
+        """Longest time from a value to the next, between which it is interpolated [s]."""
+        return max(channel.step for channels in self.channels for channel in channels)
+
     def wrenches(self, t: Array, smooth: Callable[[Array], Array]) -> Array:
         """Wrenches on the bodies that the sensors carry, shape (6 per sensor, N) [N, N·m].
 
@@ -51,7 +56,7 @@ class WrenchChannels:
         t
             Times [s] of the samples and of those about them that ``smooth`` takes.
         smooth
-            Zero-phase low-pass of the signals; it drops as many samples at both ends.
+            Low-pass of the signals; it drops the samples that it takes beside those of the motion.
         """
         wrenches = []
         for channels, to_body in zip(self.channels, self.to_body, strict=True):

@@ -526,11 +526,28 @@ class LinearModel:
             if isinstance(effect, TorqueSensorEffect):
                 predicted = effect.apply_sensor(predicted, batch.motion)
         measured_torque = batch.filter(measured.tau)
-        is_compared = np.ones(len(measured_torque), dtype=bool)
         for joint in batch.motion.unknown_torque:
             predicted[..., joint, :] = measured_torque[joint]
-            is_compared[joint] = False
-        return measured_torque, predicted, is_compared
+        return measured_torque, predicted, self.compared_rows(batch)
+
+    def compared_rows(self, batch: Batch, row_filter: RowFilter | None = None) -> Mask:
+        """Mask of the rows that are compared, shape (nv,).
+
+        Others are those of a joint whose torque is not known, and those of which unknown contact forces leave nothing.
+
+        Parameters
+        ----------
+        batch
+            The samples.
+        row_filter
+            From `row_filter`; None: that of this equation.
+        """
+        if self.contacts is not None:
+            shares = (row_filter or self.row_filter(batch)).shares
+            return np.array([share.any() for share in shares])
+        is_compared = np.ones(len(self.joints), dtype=bool)
+        is_compared[list(batch.motion.unknown_torque)] = False
+        return is_compared
 
     def _torques_without_contacts(self, batch: Batch, theta: Array) -> tuple[Array, Array, Mask]:
         """`compared_torques` that differ by what no unknown contact force explains."""
@@ -539,8 +556,7 @@ class LinearModel:
         row_filter = self.row_filter(batch)
         by_row = row_filter.filter_rows(np.moveaxis(error, -2, 0))
         measured = batch.filter(true.tau)
-        is_compared = np.array([share.any() for share in row_filter.shares])
-        return measured, measured - np.moveaxis(by_row, 0, -2), is_compared
+        return measured, measured - np.moveaxis(by_row, 0, -2), self.compared_rows(batch, row_filter)
 
     def _undone_sensors(self) -> list[Effect]:
         """Sensors behind which errors are compared: motors that saturate, and what is nearer to the log on a joint.

@@ -18,7 +18,7 @@ from idtool.reporting.results.adaptation import (
     CoefficientReport,
     FinalEstimate,
 )
-from idtool.reporting.results.base import notice_fields, provenance_fields
+from idtool.reporting.results.base import notice_fields, plain_data, provenance_fields
 from idtool.robot.inertia import PI_SIZE, is_realizable, mass_com_inertia, symmetric_entries
 
 
@@ -51,10 +51,10 @@ def adaptation_report(
         band_hz=experiment.band_hz,
         t=adaptation.t.tolist(),
         theta=adaptation.theta.tolist(),
-        prediction_rms=adaptation.prediction_rms(equation.joints),
+        prediction_rms=plain_data(adaptation.prediction_rms(equation.joints)),
         final=FinalEstimate(
             bodies={body.name: _body(theta[PI_SIZE * i : PI_SIZE * (i + 1)]) for i, body in enumerate(bodies)},
-            friction={joint: _friction(theta, experiment, joint) for joint in equation.joints},
+            friction={joint: _friction(theta, experiment, joint) for joint in experiment.model.joint_names},
         ),
         samples=adaptation.samples,
         update_hz=adaptation.update_hz,

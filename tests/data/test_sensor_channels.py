@@ -159,7 +159,7 @@ def test_wrench_is_that_on_the_link(sign: int) -> None:
     assert needed_channels(config) == tuple(names)
     log = with_sensors(log_of(plate), needed_channels(config))
     at = np.arange(0.2, 1.8, DT)
-    samples = ContactChannels(config.contacts, log.channels, None).samples(at, identity)
+    samples = ContactChannels(config.contacts, log.channels, None).samples(at, at, identity)
     np.testing.assert_allclose(samples.wrenches[0], sign * np.outer(np.arange(1, 7), np.sin(at)), atol=1e-6)
 
 
@@ -172,7 +172,7 @@ def test_flag_is_widened_at_both_ends() -> None:
     config = config_of(contacts=[contact, {"name": "rope", "link": "trunk", "kind": "surface"}])
     log = with_sensors(log_of({"contact_foot": flag, **still}), needed_channels(config))
     at = np.arange(0.2, 1.8, DT)
-    is_closed = ContactChannels(config.contacts, log.channels, None).samples(at, identity).is_closed
+    is_closed = ContactChannels(config.contacts, log.channels, None).samples(at, at, identity).is_closed
     first, last = at[is_closed[0]][[0, -1]]
     assert (first, last) == pytest.approx((0.4, 1.1), abs=2e-3)
     assert is_closed[1].all()  # without a flag, always

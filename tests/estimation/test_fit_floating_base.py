@@ -115,10 +115,7 @@ def test_joints_in_the_air_are_simulated_with_the_measured_motion_of_the_base(fo
 @pytest.mark.parametrize(
     ("command", "call"),
     [
-        ("simulate", lambda model, log, folder: idtool.simulate(model, log)),
         ("excite with logs", lambda model, log, folder: idtool.excite(model, logs=log)),
-        ("study", lambda model, log, folder: idtool.study(model, log)),
-        ("adapt", lambda model, log, folder: idtool.adapt(model, log)),
         ("diagnose --against", lambda model, log, folder: idtool.diagnose(model, log, against=folder / "stand.csv")),
     ],
 )

@@ -14,6 +14,7 @@ from commands import LEG, TRAIN, VALIDATE
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from idtool.common import processes
 from idtool.common.exceptions import LogError, SolverError
 from idtool.estimation.dataset.experiment import Experiment, Run, prepare
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
@@ -68,7 +69,7 @@ def test_gathering_reduces_the_data_as_a_fit_does(leg: Experiment, gathered: tup
 def test_a_draw_of_all_samples_is_all_data(gathered: tuple[Reduction, Pool], rng: np.random.Generator) -> None:
     """In any order, at once or merged from parts."""
     total, pool = gathered
-    assert pool.whole
+    assert pool.drawn_from is None
     samples = pool.blocks[0].shape[1]
     assert all(block.shape[1] == samples for block in pool.blocks)
     order = rng.permutation(samples)
@@ -82,8 +83,8 @@ def test_a_draw_of_all_samples_is_all_data(gathered: tuple[Reduction, Pool], rng
 
 def test_samples_that_do_not_count_are_left_out_of_a_draw(rng: np.random.Generator) -> None:
     blocks = [rng.normal(size=(3, 20)), rng.normal(size=(2, 20))]
-    kept = [np.arange(20) % 2 == 0, np.arange(20) < 5]
-    pool = Pool(blocks, kept, np.full(blocks[0].shape[1], 0.25))
+    shares = [(np.arange(20) % 2 == 0) * 1.0, (np.arange(20) < 5) * 1.0]
+    pool = Pool(blocks, shares, np.full(blocks[0].shape[1], 0.25))
     chosen = np.array([1, 2, 3, 4, 17, 18])
     first, second = pool.reduction(chosen)
     assert (first.rows, first.independent) == (3, 0.75)  # 2, 4, 18
@@ -114,7 +115,7 @@ def stream(sizes: list[int], runs: int = 1) -> Experiment:
         )
         return Run(signals, (slice(0, sum(sizes)),), ())
 
-    equation = SimpleNamespace(joints=("hip",), active=lambda: (np.arange(1),), filtered_rows=rows, contacts=None)
+    equation = SimpleNamespace(joints=("hip",), active=lambda: (np.arange(1),), counted_rows=rows, contacts=None)
     logs = tuple(run(k * len(sizes)) for k in range(runs))
     return Experiment(
         *cast(
@@ -134,9 +135,9 @@ def test_the_pool_is_bounded_and_holds_every_sample_alike(monkeypatch: pytest.Mo
         reduction, pool = gather(stream(sizes), np.random.default_rng(seed), silent)
         numbers = pool.blocks[0][0].astype(int)
         assert pool.blocks[0].shape == (2, 40)
-        assert pool.kept[0].shape == (40,)
+        assert pool.shares[0].shape == (40,)
         assert len(set(numbers.tolist())) == 40
-        assert not pool.whole
+        assert pool.drawn_from == total
         assert reduction[0].rows == total
         seen[numbers] += 1
     share = 40 / total
@@ -150,7 +151,7 @@ def test_the_pool_is_bounded_and_holds_every_sample_alike(monkeypatch: pytest.Mo
 def test_a_pool_over_several_logs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each has its share, and a pool that is not full is everything."""
     _, pool = gather(stream([30, 20], runs=3), np.random.default_rng(0), silent)
-    assert pool.whole
+    assert pool.drawn_from is None
     assert sorted(pool.blocks[0][0]) == list(range(150))
     monkeypatch.setattr(learning, "_POOL", 60)
     of_log = np.zeros(3)
@@ -170,8 +171,8 @@ def test_a_pool_over_several_logs(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_nothing_to_fit_to_is_said(sizes: list[int], said: str) -> None:
     experiment = stream(sizes)
-    rows = experiment.equation.filtered_rows
-    experiment.equation.filtered_rows = lambda batch: (rows(batch)[0], [np.zeros(5, dtype=bool)])  # type: ignore[method-assign]
+    rows = experiment.equation.counted_rows
+    experiment.equation.counted_rows = lambda batch: (rows(batch)[0], [np.zeros(5, dtype=bool)])  # type: ignore[method-assign]
     with pytest.raises(LogError, match=f"^log.csv: {said}"):
         gather(experiment, np.random.default_rng(0), silent)
 
@@ -278,8 +279,8 @@ def test_the_same_seed_draws_the_same(leg: Experiment, gathered: tuple[Reduction
 
 
 def test_a_pool_that_is_not_everything_ends_with_everything(leg: Experiment, gathered: tuple[Reduction, Pool]) -> None:
-    steps, curves = learned(leg, gathered, 1, whole=False)
-    samples = max(factor.rows for factor in gathered[0])
+    samples = 2 * gathered[1].blocks[0].shape[1]
+    steps, curves = learned(leg, gathered, 1, drawn_from=samples)
     assert steps[-1] == samples
     assert steps[:-1] == counts(gathered[1].blocks[0].shape[1])
     for curve in curves.values():
@@ -300,6 +301,7 @@ def test_draws_that_are_not_solved_are_counted_and_left_out(
             raise SolverError("solver", "gave up")
         return solve(problem)
 
+    monkeypatch.setattr(processes, "process_count", lambda: 1)  # a copy of the process has its own count
     monkeypatch.setattr(learning, "solve", moody)
     steps, curves = learned(leg, gathered, 2)
     assert curves["none"].unsolved + curves["full"].unsolved == calls - calls // 2
@@ -321,9 +323,10 @@ def test_the_curves_are_statistics_of_the_draws(monkeypatch: pytest.MonkeyPatch)
         errors[name][-1].append(float(np.exp(made.normal()) / samples))
         return errors[name][-1][-1], -2 * errors[name][-1][-1]
 
+    monkeypatch.setattr(processes, "process_count", lambda: 1)  # a copy of the process has its own list
     monkeypatch.setattr(learning, "_outcome", outcome)
     rows = np.stack([np.arange(10.0), np.ones(10)])
-    pool = Pool([rows], [np.ones(10, dtype=bool)], np.ones(10))
+    pool = Pool([rows], [np.ones(10)], np.ones(10))
     state: Any = {name: lambda data, name=name: (name, data[0].rows) for name in errors}
     total = pool.reduction(np.arange(10))
     steps, curves = learn(pool, total, total, (np.arange(1),), state, 7, np.random.default_rng(0), silent)

@@ -1,20 +1,23 @@
-"""A model with a floating base in MuJoCo."""
+"""A model with a floating base for simulators."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
 from ground.logs import config_text
 from ground.quadruped import GEAR, JOINTS, true_quadruped
-from ground.robot import urdf_text
+from ground.robot import prior_robot, urdf_text
+from lxml import etree
+from scipy.spatial.transform import Rotation
 from standing_quadruped import random_state
 
 import idtool
-from idtool.common.exceptions import ConfigError
 from idtool.common.safe_yaml import parse_yaml
 from idtool.robot.config import read_config
 from idtool.robot.inverse_dynamics import inverse_dynamics
@@ -81,6 +84,69 @@ def test_rotors_are_armature_whatever_turns_their_carriers(folder: Path) -> None
     assert any("rotation of its carrier" in part.detail for part in exported.not_carried)
 
 
-def test_other_forms_of_export_say_that_they_need_a_fixed_base(folder: Path) -> None:
-    with pytest.raises(ConfigError, match="idtool export --to drake needs a fixed base"):
-        idtool.export(folder, "drake")
+def mass_matrix_and_bias(urdf: str, rng: np.random.Generator) -> tuple[Any, Any]:
+    """M and h of the free robot in a URDF by Pinocchio, in a random state."""
+    tree = pin.buildModelFromXML(urdf, pin.JointModelFreeFlyer())
+    data = tree.createData()
+    q = pin.neutral(tree)
+    q[3:7] = Rotation.random(random_state=int(rng.integers(100))).as_quat()
+    q[7:] = rng.normal(size=12)
+    M = pin.crba(tree, data, q)
+    return np.triu(M) + np.triu(M, 1).T, pin.nonLinearEffects(tree, data, q, rng.normal(size=tree.nv))
+
+
+def test_drake_has_a_free_base_and_the_same_dynamics(folder: Path) -> None:
+    exported = idtool.export(folder, "drake")
+    text = exported.save().read_text()
+    parts = {part.what: part.of for part in exported.carried}
+    assert parts["floating_base"] == "trunk"
+    assert "fixed_base" not in [part.what for part in exported.not_carried]
+    root = etree.fromstring(text.encode())
+    children = {child.get("link") for child in root.iterfind("joint/child")}
+    roots = [link.get("name") for link in root.iterfind("link") if link.get("name") not in children]
+    assert roots == ["trunk"]  # which Drake leaves free, as no joint holds it
+    assert {joint.get("name") for joint in root.iterfind("transmission/joint")} == set(JOINTS)
+    original = (folder / "identified.urdf").read_text()
+    of_drake = mass_matrix_and_bias(text, np.random.default_rng(1))
+    of_urdf = mass_matrix_and_bias(original, np.random.default_rng(1))
+    for own, expected in zip(of_drake, of_urdf, strict=True):
+        np.testing.assert_allclose(own, expected, atol=1e-9)
+
+
+def test_rotors_of_the_hips_are_dead_weight_of_the_trunk_in_drake(folder: Path) -> None:
+    content = dict(parse_yaml(Path("model.yaml"), config_text(TRUTH).encode()))
+    (folder / "model.yaml").write_bytes(yaml.safe_dump({**content, "joints": list(JOINTS)}).encode())
+    exported = idtool.export(folder, "drake")
+    text = exported.save().read_text()
+    tree = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
+    assert pin.computeTotalMass(tree) == pytest.approx(TRUTH.mass)
+    reflected = TRUTH.rotors[JOINTS[0]].inertia[0, 0] * GEAR**2
+    values = [part.value for part in exported.carried if part.detail == f"reflected inertia on {JOINTS[0]}"]
+    np.testing.assert_allclose(values, [reflected])
+    assert any("rotation of its carrier" in part.detail for part in exported.not_carried)
+
+
+def test_urdf_is_patched(folder: Path, tmp_path: Path) -> None:
+    other = tmp_path / "simulator.urdf"
+    other.write_text(urdf_text(prior_robot(TRUTH, 0)))
+    patched = idtool.export(folder, patch=other).save().read_text()
+    found = mass_matrix_and_bias(patched, np.random.default_rng(2))
+    expected = mass_matrix_and_bias((folder / "identified.urdf").read_text(), np.random.default_rng(2))
+    for own, theirs in zip(found, expected, strict=True):
+        np.testing.assert_allclose(own, theirs, atol=1e-8)
+
+
+@pytest.mark.parametrize("is_free", [True, False])
+def test_mjcf_is_patched(folder: Path, tmp_path: Path, is_free: bool) -> None:
+    text = idtool.export(folder, "mujoco").save().read_text()
+    text = text.replace('damping="0.1"', 'damping="0.7"')
+    if not is_free:
+        text = text.replace("<freejoint/>", "")
+    other = tmp_path / "simulator.xml"
+    other.write_text(text)
+    exported = idtool.export(folder, patch=other)
+    model = mujoco.MjModel.from_xml_path(str(exported.save()))
+    np.testing.assert_allclose([model.joint(name).damping[0] for name in JOINTS], 0.1)
+    assert model.nv == 12 + 6 * is_free
+    missing = [part.of for part in exported.not_carried if part.what == "floating_base"]
+    assert missing == ([] if is_free else ["trunk"])

@@ -41,6 +41,11 @@ class Channel:
     t: Array
     x: Array
 
+    @property
+    def step(self) -> float:
+        """Usual time from a value to the next [s]; 0 for less than two values."""
+        return float(np.median(np.diff(self.t))) if len(self.t) > 1 else 0.0
+
     def at(self, t: Array) -> Array:
         """Interpolated values at times [s], shape (N,)."""
         return np.interp(t, self.t, self.x)

@@ -108,6 +108,15 @@ def with_sensors(log: JointLog, names: Iterable[str]) -> JointLog:
     return replace(log, channels=channels, segments=segments, notices=notices)
 
 
+def channels_as_logged(log: JointLog, names: Iterable[str]) -> dict[str, Channel]:
+    """Some channels of a log that `with_sensors` made, without the values that it added."""
+    channels = {}
+    for name in dict.fromkeys(names):
+        channel = log.channels[name]
+        channels[name] = Channel(channel.t[1:], channel.x[1:]) if is_flag(name) else channel
+    return channels
+
+
 def is_flag(name: str) -> bool:
     """True for a contact flag, which may be logged only when it changes."""
     return name.startswith("contact_")

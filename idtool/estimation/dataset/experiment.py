@@ -43,6 +43,7 @@ from idtool.robot.urdf.reading import Robot
 Progress = Callable[[str, float], None]  # stage, share of it that is done
 Rows = Iterable[tuple[list[Array], Shares]]
 
+NOT_SIMULATED = ("floating_base_not_simulated", "contacts_not_simulated")  # notices for evaluations of models
 _LARGEST = 1e12  # of a signal in SI: powers of what is larger are not finite
 _STANDING = {"prismatic": 0.005}  # m, that a joint may move and still count as standing
 _STANDING_ANGLE = 0.02  # rad, of any other joint

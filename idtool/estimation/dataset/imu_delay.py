@@ -148,7 +148,8 @@ def _feet_jacobian(
 
     The generalized force per unit of a contact force is also the velocity of the contact per unit of each coordinate's.
     """
-    contacts = ContactChannels(feet, log.channels, sensors).samples(log.t[samples], lambda signal: signal)
+    t = log.t[samples]
+    contacts = ContactChannels(feet, log.channels, sensors).samples(t, t, lambda signal: signal)
     edge = max(round(_CONTACT_EDGE / log.dt), 1)
     is_settled = [binary_erosion(is_closed, iterations=edge) for is_closed in contacts.is_closed]
     zero = np.zeros_like(q)

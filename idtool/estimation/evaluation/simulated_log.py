@@ -14,10 +14,13 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError, ModelError
+from idtool.common.names import join_names
+from idtool.data.base_sensors import needed_channels
 from idtool.data.logs import JointLog, make_log
+from idtool.data.logs.sensor_channels import channels_as_logged
 from idtool.data.signals import Signals
 from idtool.dynamics.simulation.simulation import simulate
-from idtool.dynamics.simulation.windows import split_into_windows
+from idtool.dynamics.simulation.windows import split_into_windows, stretches_without_contact
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
 
@@ -28,7 +31,8 @@ class SimulatedLog:
     Attributes
     ----------
     log
-        The motion, of the model's joints: q, v, tau, and qcmd and vcmd where they drove it.
+        The motion, of the model's joints: q, v, tau, and qcmd and vcmd where they drove it; and the logged channels of
+        the sensors of a base and of contacts. Wrench sensors would read something else along another motion.
     measured
         The positions that were measured at the same times, shape (N, nv).
     kind
@@ -37,6 +41,11 @@ class SimulatedLog:
         Time after which it was started again from the measured state [s]; None: never.
     seconds
         Simulated time [s].
+    log_seconds
+        Time in the log that has samples of all signals [s].
+    stretches
+        Number of stretches that were simulated: of the log without gaps, and without contact forces on links that the
+        joints move.
     position, velocity
         RMS difference from what was measured, by joint and ``overall``, without the samples at which it was started;
         empty where nothing was measured.
@@ -49,6 +58,8 @@ class SimulatedLog:
     kind: Literal["open_loop", "closed_loop"]
     window: float | None
     seconds: float
+    log_seconds: float
+    stretches: int
     position: dict[str, float]
     velocity: dict[str, float]
     rollouts: int
@@ -78,7 +89,8 @@ def under_controller(log: JointLog) -> JointLog:
     """
     if "qcmd" not in log.signals:
         raise LogError(log.path, "contains no command; --closed-loop needs qcmd_<joint>; use --track to follow q")
-    return replace(log, signals={name: x for name, x in log.signals.items() if name != "tau"})
+    signals = {name: x for name, x in log.signals.items() if name != "tau"}
+    return replace(log, signals=signals, unknown_torque=())
 
 
 def as_command(log: JointLog) -> JointLog:
@@ -88,7 +100,8 @@ def as_command(log: JointLog) -> JointLog:
     speed = np.full_like(q, np.nan)
     for part in log.segments:
         speed[part] = np.gradient(q[part], log.dt, axis=0)
-    return replace(log, signals={"q": q, "v": speed, "qcmd": q, "vcmd": log.signals.get(command["v"], speed)})
+    signals = {"q": q, "v": speed, "qcmd": q, "vcmd": log.signals.get(command["v"], speed)}
+    return replace(log, signals=signals, unknown_torque=())
 
 
 def simulated_log(
@@ -111,12 +124,15 @@ def simulated_log(
 
     Raises
     ------
+    LogError
+        If the torque of a joint is not known, or a contact force acts on the joints all the time.
     ModelError
         If the model cannot be simulated, or runs away as soon as it is started.
     """
     run = experiment.runs[0]
-    signals, joints = run.signals, experiment.equation.joints
-    windows = split_into_windows(signals, run.held_out, window)
+    signals, joints = run.signals, experiment.model.joint_names
+    stretches = _simulated_stretches(experiment)
+    windows = split_into_windows(signals, stretches, window)
     stage = f"simulating {signals.log.path.name}"
     mechanism = experiment.equation.mechanism(experiment.model, theta)
     rollouts = []
@@ -132,17 +148,40 @@ def simulated_log(
                 rollouts.append(_Rollout(signals, part, q[:, :kept], v[:, :kept], tau[:, :kept]))
     if not rollouts:
         raise ModelError(experiment.model.robot.path, "diverges as soon as it is simulated; its inertias are too small")
+    without_wrench_sensors = experiment.config.model_copy(update={"wrench_sensors": ()})
+    channels = channels_as_logged(signals.log, needed_channels(without_wrench_sensors))
     return SimulatedLog(
-        log=_log_of(path, joints, rollouts),
+        log=replace(_log_of(path, joints, rollouts), channels=channels),
         measured=np.concatenate([rollout.measured_q.T for rollout in rollouts]),
         kind="closed_loop" if signals.controller.joints.any() else "open_loop",
         window=window,
         seconds=sum(rollout.q.shape[1] for rollout in rollouts) * signals.log.dt,
+        log_seconds=sum(part.stop - part.start for part in signals.log.segments) * signals.log.dt,
+        stretches=len(stretches),
         position=_rmse(joints, [rollout.q - rollout.measured_q for rollout in rollouts]),
         velocity=_rmse(joints, [rollout.v - rollout.measured_v for rollout in rollouts]),
         rollouts=len(windows),
         diverged=diverged,
     )
+
+
+def _simulated_stretches(experiment: Experiment) -> Sequence[slice]:
+    """Stretches of the first log that can be simulated; LogError, with the reason, if there are none."""
+    run = experiment.runs[0]
+    signals, contacts = run.signals, experiment.equation.contacts
+    if signals.unknown_torque:
+        names = join_names([signals.joints[j] for j in signals.unknown_torque])
+        raise LogError(signals.log.path, f"has no torque of {names}; a simulation needs that of every joint")
+    if contacts is None:
+        return run.held_out
+    stretches = stretches_without_contact(signals, run.held_out, contacts)
+    stretches = [stretch for stretch in stretches if stretch.stop - stretch.start > 1]
+    if not stretches:
+        what = "cannot be simulated: a contact force acts on the joints all the time"
+        advice = "give a log in which the robot hangs free" if experiment.model.has_floating_base else ""
+        advice = advice or "give a log with motion without contact, or check the flags of the contacts"
+        raise LogError(signals.log.path, f"{what}; {advice}")
+    return stretches
 
 
 class _Rollout:

@@ -6,6 +6,9 @@ Composite adaptation (Slotine & Li 1989) drives the parameters by the error of t
 the tracking error of a controller that uses them. A log cannot react to a controller, so only the first part has a role
 here, in the form of bounded-gain forgetting: `RecursiveFit` on the samples of `causal_batches`.
 
+Unknown contact forces are eliminated by the noise of the rows in the configuration, or by a guess from the torque: to
+determine it takes a fit to the whole log.
+
 Letters: p coefficients theta, m variables x of the problem, nv joints; T reported times.
 """
 
@@ -17,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.linear_algebra import svd
 from idtool.data.causal import causal_batches
@@ -83,10 +86,13 @@ class Adaptation:
     seconds: float
 
     def prediction_rms(self, joints: Sequence[str]) -> dict[str, float]:
-        """Root mean square error of the prediction one sample ahead by joint, and ``overall`` [N·m or N]."""
-        rms = np.sqrt(self.squares / np.maximum(self.predicted, 1))
+        """Root mean square error of the prediction one sample ahead by joint, and ``overall`` [N·m or N].
+
+        It is NaN for a joint of which nothing was predicted.
+        """
+        squares = np.where(self.predicted > 0, self.squares / np.maximum(self.predicted, 1), np.nan)
         overall = float(np.sqrt(self.squares.sum() / max(int(self.predicted.sum()), 1)))
-        return {**dict(zip(joints, rms.tolist(), strict=True)), "overall": overall}
+        return {**dict(zip(joints, np.sqrt(squares).tolist(), strict=True)), "overall": overall}
 
 
 def adapt(
@@ -126,9 +132,9 @@ def adapt(
         low_pass = run.signals.low_pass
         step = run.signals.log.dt * low_pass.stride
         gamma, lately = float(np.exp(-step / forgetting)), min(step * run.signals.band_hz / _NOISE_PERIODS, 1.0)
-        for t, W, tau, defined in _samples(experiment, run, fit.T, progress):
+        for t, W, tau, shares in _samples(experiment, run, fit.T, progress):
             for k in range(len(t)):
-                fit.update(W[k], tau[k], defined[k], gamma, lately, 1 / low_pass.redundancy)
+                fit.update(W[k], tau[k], shares[k], gamma, lately, 1 / low_pass.redundancy)
                 rows.add(t[k], step, fit)
         rows.end()
     if not fit.samples:
@@ -156,19 +162,19 @@ def adapt(
 
 def _samples(
     experiment: Experiment, run: Run, T: Array, progress: Progress
-) -> Iterator[tuple[Array, Array, Array, Mask]]:
-    """A log's samples in the band: times (n,), rows on x (n, nv, m), torque (n, nv), and which hold (n, nv)."""
+) -> Iterator[tuple[Array, Array, Array, Array]]:
+    """A log's samples in the band: times (n,), rows on x (n, nv, m), torque (n, nv), and their shares (n, nv)."""
     equation = experiment.equation
     transform = [T[active] for active in equation.active()]
     size = max(_CHUNK // (len(transform) * T.shape[1]), 1)
     batches = causal_batches(run.signals, experiment.config.filter.order, run.train)
     for batch in tracked(batches, run.train, progress, f"adapting to {run.signals.log.path.name}"):
-        t, (blocks, kept) = batch.t + run.signals.log.start, equation.filtered_rows(batch)
-        defined = np.stack(kept, axis=1)
+        t, (blocks, counted) = batch.t + run.signals.log.start, equation.counted_rows(batch)
+        shares = np.stack(counted, axis=1).astype(float)
         for start in range(0, len(t), size):
             part = slice(start, start + size)
             W = np.stack([block[:-1, part].T @ to_x for block, to_x in zip(blocks, transform, strict=True)], axis=1)
-            yield t[part], W, np.stack([block[-1, part] for block in blocks], axis=1), defined[part]
+            yield t[part], W, np.stack([block[-1, part] for block in blocks], axis=1), shares[part]
 
 
 class _ReportedRows:

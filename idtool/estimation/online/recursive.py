@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.arrays import Array, Indices
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import empty
@@ -102,6 +102,7 @@ class RecursiveFit:
         nv = len(equation.joints)
         self._joints = [_Information.of(self.T[active]) for active in equation.active()]
         self._measured, self._explained = np.zeros(nv), np.zeros(nv)
+        self._counted = np.zeros(nv)
         self._noise, self._power = np.zeros(nv), np.zeros(nv)
         self.squares, self.predicted, self.samples = np.zeros(nv), np.zeros(nv, dtype=np.intp), 0
         self._barrier = Barrier(self.problem, *self.normal(), _GAP)
@@ -126,19 +127,23 @@ class RecursiveFit:
         P = self._of_prior[0] / grown + self._of_constraints[0]
         q = self._of_prior[1] / grown + self._of_constraints[1]
         for joint, w in zip(self._joints, weight, strict=True):
-            P[joint.variables[:, None], joint.variables] += w * joint.matrix
+            if len(joint.variables) == len(P):  # as with contacts, where this is much faster
+                P += w * joint.matrix
+            else:
+                P[joint.variables[:, None], joint.variables] += w * joint.matrix
             q[joint.variables] += w * joint.vector
         return P, q
 
-    def update(self, W: Array, tau: Array, defined: Mask, gamma: float, lately: float, worth: float) -> None:
+    def update(self, W: Array, tau: Array, shares: Array, gamma: float, lately: float, worth: float) -> None:
         """Take in a sample.
 
         Parameters
         ----------
         W, tau
             Rows on x, shape (nv, m), and torque, shape (nv,) [N·m or N].
-        defined
-            True for joints whose row holds, shape (nv,).
+        shares
+            Share of each joint's row that counts, shape (nv,): 0 for one that does not hold; between 0 and 1 for what
+            unknown contact forces leave of it, whose squared error is as much less.
         gamma
             Share of their weight that earlier samples keep.
         lately
@@ -146,18 +151,21 @@ class RecursiveFit:
         worth
             Independent samples that this one is worth.
         """
+        defined = shares > 0
         error = np.where(defined, tau - W @ self._barrier.x, 0.0)
         self.squares += error**2
         self.predicted += defined
+        self._counted += shares
         self.samples += 1
-        mean = defined / np.maximum(self.predicted, 1)
-        self._power += mean * (tau**2 - self._power)
-        share = np.clip(_EARLY * mean, lately, 1.0)
-        self._noise += np.where(defined, share, 0.0) * (error**2 - self._noise)
+        whole = np.where(defined, shares, 1.0)
+        mean = shares / np.where(defined, self._counted, 1.0)
+        self._power += mean * (tau**2 / whole - self._power)
+        rate = np.clip(_EARLY * mean, lately * shares, 1.0)
+        self._noise += rate * (error**2 / whole - self._noise)
         self._measured += defined * tau**2
         self._explained += defined * np.square(W @ self._explaining)
-        for joint, row, torque, holds in zip(self._joints, W, tau, defined, strict=True):
-            joint.update(row, torque, gamma, worth * float(holds))
+        for joint, row, torque, is_defined in zip(self._joints, W, tau, defined, strict=True):
+            joint.update(row, torque, gamma, worth * float(is_defined))
         self._barrier.move(*self.normal())
 
 

@@ -11,15 +11,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import SolverError
+from idtool.common.processes import shared_among_processes
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
+from idtool.estimation.evaluation.torque_errors import overall_rms
 from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem
 from idtool.robot.inertia import PI_SIZE, smallest_eigenvalue
 
 _POOL = 4096  # samples that draws are made from, at random from all: a log of any length fits into memory
+_POOL_NUMBERS = 1 << 25  # in their rows at most: with contacts, every row has all columns
 _FEW_SAMPLES_FACTOR = 4  # times as many draws of few samples
 _STEPS = (1, 3)  # times a power of ten: the counts
 
@@ -32,25 +35,26 @@ class Pool:
     ----------
     blocks
         Per joint, columns and torque in the band, shape (m_j + 1, samples).
-    kept
-        Per joint, true for samples that count, shape (samples,).
+    shares
+        Per joint, the share of each sample that counts, from 0 to 1, shape (samples,).
     worth
         Number of independent samples that each is worth, shape (samples,).
-    whole
-        True if these are all samples.
+    drawn_from
+        Number of samples that these were drawn from; None: these are all.
     """
 
     blocks: list[Array]
-    kept: list[Mask]
+    shares: list[Array]
     worth: Array
-    whole: bool = True
+    drawn_from: int | None = None
 
     def reduction(self, chosen: Indices) -> Reduction:
         """The R-factors of some of the samples."""
         factors = []
-        for block, kept in zip(self.blocks, self.kept, strict=True):
-            own = chosen[kept[chosen]]
-            factors.append(replace(Factor.from_columns(block[:, own]), independent=float(self.worth[own].sum())))
+        for block, shares in zip(self.blocks, self.shares, strict=True):
+            own = shares[chosen]
+            factor = Factor.from_shares(block[:, chosen], own)
+            factors.append(replace(factor, independent=float(self.worth[chosen] @ own)))
         return tuple(factors)
 
 
@@ -92,28 +96,30 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
     total = empty(experiment.equation.active())
     pool: Pool | None = None
     keys, samples = np.zeros(0), 0
+    size = min(_POOL, max(_POOL_NUMBERS // sum(len(factor.R.T) for factor in total), 1))
     for run in experiment.runs:
         stage = f"reading {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
-            blocks, kept = experiment.equation.filtered_rows(batch)
+            blocks, counted = experiment.equation.counted_rows(batch)
+            shares = [share.astype(float) for share in counted]
             indices = np.arange(blocks[0].shape[1])
             worth = np.full(len(indices), 1 / run.signals.low_pass.redundancy)
-            new = Pool(blocks, kept, worth)
+            new = Pool(blocks, shares, worth)
             total = merge(total, new.reduction(indices))
             samples += len(indices)
             # Every sample draws a random key; the pool is those with the least ones.
             keys = np.concatenate([keys, rng.random(len(indices))])
             if pool is not None:
                 blocks = [np.concatenate(pair, axis=1) for pair in zip(pool.blocks, blocks, strict=True)]
-                kept = [np.concatenate(pair) for pair in zip(pool.kept, kept, strict=True)]
+                shares = [np.concatenate(pair) for pair in zip(pool.shares, shares, strict=True)]
                 worth = np.concatenate([pool.worth, worth])
-            least = np.argsort(keys)[:_POOL]
+            least = np.argsort(keys)[:size]
             keys = keys[least]
             pool = Pool(
                 blocks=[block[:, least] for block in blocks],
-                kept=[counts[least] for counts in kept],
+                shares=[share[least] for share in shares],
                 worth=worth[least],
-                whole=samples <= _POOL,
+                drawn_from=samples if samples > size else None,
             )
     experiment.checked(total)
     if pool is None:
@@ -122,12 +128,20 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
 
 
 def held_out(experiment: Experiment, progress: Progress) -> Reduction:
-    """The held-out data as R-factors, every sample counting for every joint."""
-    total = empty(experiment.equation.active())
+    """The held-out data as R-factors, every sample counting for every joint that is compared in its log."""
+    equation = experiment.equation
+    total = empty(equation.active())
     for run in experiment.runs:
+        of_log = empty(equation.active())
+        is_compared = np.zeros(len(equation.joints), dtype=bool)
         for batch in tracked(run.signals.batches(run.held_out), run.held_out, progress, "reading held-out data"):
-            blocks, _ = experiment.equation.filtered_rows(batch)
-            total = merge(total, tuple(Factor.from_columns(block) for block in blocks))
+            row_filter = equation.row_filter(batch)
+            blocks = equation.filtered_columns(batch, row_filter)
+            of_log = merge(of_log, tuple(Factor.from_columns(block) for block in blocks))
+            is_compared |= equation.compared_rows(batch, row_filter)
+        none = empty(equation.active())
+        compared = [own if known else no for own, no, known in zip(of_log, none, is_compared, strict=True)]
+        total = merge(total, tuple(compared))
     return total
 
 
@@ -176,21 +190,26 @@ def learn(
     """
     steps = counts(pool.blocks[0].shape[1])
     few = sum(count < int(np.max(np.concatenate(active))) for count in steps)
-    results = {name: np.full((_FEW_SAMPLES_FACTOR * draws, len(steps), 2), np.nan) for name in problem_of}
-    for draw in range(_FEW_SAMPLES_FACTOR * draws):
-        order = rng.permutation(steps[-1])
+    total_draws = _FEW_SAMPLES_FACTOR * draws
+    orders = [rng.permutation(steps[-1]) for _ in range(total_draws)]
+
+    def outcomes(draw: int, progress: Progress) -> Array:
+        """Outcomes of each set with more and more samples of a draw, shape (sets, counts, 2)."""
+        results = np.full((len(problem_of), len(steps), 2), np.nan)
         data, first = empty(active), 0
         for k, count in enumerate(steps[: few if draw >= draws else None]):
-            data, first = merge(data, pool.reduction(order[first:count])), count
-            for name, build in problem_of.items():
-                results[name][draw, k] = _outcome(build(data), validation, active)
-        progress("drawing samples", (draw + 1) / (_FEW_SAMPLES_FACTOR * draws))
-    curves = {
-        name: [result[: _FEW_SAMPLES_FACTOR * draws if k < few else draws, k] for k in range(len(steps))]
-        for name, result in results.items()
-    }
-    if not pool.whole:
-        steps = [*steps, round(max(factor.rows for factor in total))]
+            data, first = merge(data, pool.reduction(orders[draw][first:count])), count
+            for result, build in zip(results, problem_of.values(), strict=True):
+                result[k] = _outcome(build(data), validation, active)
+        progress("drawing samples", (draw + 1) / total_draws)
+        return results
+
+    by_draw = np.stack(shared_among_processes(outcomes, range(total_draws), progress))
+    curves = {}
+    for i, name in enumerate(problem_of):
+        curves[name] = [by_draw[: total_draws if k < few else draws, i, k] for k in range(len(steps))]
+    if pool.drawn_from is not None:
+        steps = [*steps, pool.drawn_from]
         for name, build in problem_of.items():
             curves[name].append(np.array([_outcome(build(total), validation, active)]))
     first_set = next(iter(curves.values()))
@@ -208,9 +227,15 @@ def _outcome(problem: Problem, validation: Reduction, active: Sequence[Indices])
 
 
 def rms(data: Reduction, active: Sequence[Indices], theta: Array) -> Array:
-    """Root mean square of each joint's residual, and over all of them, shape (nv + 1,) [N·m or N]."""
-    squares = [f.squared_error(theta[columns]) / max(f.rows, 1) for f, columns in zip(data, active, strict=True)]
-    return np.asarray(np.sqrt([*map(float, squares), float(np.mean(squares))]))
+    """Root mean square of each joint's residual, and over all of them, shape (nv + 1,) [N·m or N].
+
+    It is NaN for a joint without data, which is left out of the last one.
+    """
+    by_joint = []
+    for factor, columns in zip(data, active, strict=True):
+        mean_square = factor.squared_error(theta[columns]) / factor.rows if factor.rows else np.nan
+        by_joint.append(float(np.sqrt(mean_square)))
+    return np.array([*by_joint, overall_rms(by_joint)])
 
 
 def violation(problem: Problem, z: Array) -> float:

@@ -17,7 +17,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.common.notice import Notice
 from idtool.estimation.command_delay import with_delay
-from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.dataset.experiment import NOT_SIMULATED, Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import free_noise, weighted_rows
 from idtool.estimation.evaluation.torque_errors import Evaluation, evaluate
@@ -26,6 +26,7 @@ from idtool.estimation.problem.certificate import Certificate
 from idtool.estimation.problem.estimate import solve, solve_locally
 from idtool.estimation.problem.local import LOCAL
 from idtool.estimation.problem.problem import Problem, build_problem
+from idtool.estimation.row_noise import with_row_noise
 from idtool.estimation.study.learning import Curve, gather, held_out, learn
 from idtool.robot.config import WEAK_PRIOR
 from idtool.robot.inertia import PI_SIZE, smallest_eigenvalue
@@ -138,15 +139,20 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
         If nothing is left to fit a joint to.
     """
     started = time.perf_counter()
-    experiment, delay, _ = with_delay(_weakly_regularized(experiment), progress)
-    validation = held_out(experiment, progress)
-    if not validation[0].rows:
+    if not experiment.samples(held_out=True):
         raise ConfigError("--holdout", "a study compares errors on held-out data; use a larger --holdout or --validate")
+    experiment, delay, _ = with_delay(_weakly_regularized(experiment), progress)
+    experiment, _ = with_row_noise(experiment, progress)
+    validation = held_out(experiment, progress)
+    if not any(factor.rows for factor in validation):
+        what = "in the held-out data, unknown contact forces can explain all torques"
+        raise ConfigError("--holdout", f"{what}; give logs with other motions with --validate")
     rng = np.random.default_rng(experiment.config.seed)
     equation = experiment.equation
     total, pool = gather(experiment, rng, progress)
     noise = free_noise(equation, total, experiment.equalities)
-    notices = [*experiment.notices, *(delay.notices if delay else ())]
+    notices = [notice for notice in experiment.notices if notice.code not in NOT_SIMULATED]
+    notices += delay.notices if delay else ()
     names = [name for name, s in constraint_sets().items() if any(map(s.applies_to, experiment.model.bodies))]
     problem_of = {name: _problem_builder(experiment, name, noise) for name in names}
     candidates = {}

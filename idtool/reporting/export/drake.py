@@ -27,6 +27,7 @@ from idtool.robot.urdf.writing import JointDynamics, replace_parameters
 
 FILE = "drake.urdf"
 
+_WORLD = "world"  # Drake's name for what stands still
 _DRAKE_GRAVITY = (0.0, 0.0, -9.81)  # m/s², Drake's own
 _ROUNDING = 1e-12  # relative
 
@@ -70,7 +71,7 @@ def _link_parameters(identified: IdentifiedModel, rotors: tuple[Rotor, ...]) -> 
     links: dict[str, Array | None] = {}
     for i, pi in more.items():
         link = robot.root if i < 0 else model.bodies[i].name
-        if link == "world":  # Drake's own, which has no mass
+        if link == _WORLD:  # Drake's own, which has no mass
             continue
         own = robot.links[link]
         own = np.zeros(PI_SIZE) if own is None else own
@@ -201,7 +202,12 @@ def _list_parts(
                 f"gravity is a property of Drake's plant; set the plant's gravity vector to [{values}]",
             )
         )
-    if robot.root != "world":
+    is_free_in_drake = robot.root != _WORLD
+    if model.has_floating_base and is_free_in_drake:
+        carried.append(Part("floating_base", robot.root, "free, as Drake has every root link that is not welded"))
+    elif model.has_floating_base:
+        not_carried.append(Part("floating_base", robot.root, "Drake holds a link of this name; rename the link"))
+    elif is_free_in_drake:
         not_carried.append(Part("fixed_base", robot.root, "the base is free in Drake; weld it to the world"))
     return carried, not_carried
 

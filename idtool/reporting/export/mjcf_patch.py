@@ -44,6 +44,18 @@ class MjcfPatch(FilePatch):
         self._defaults = default_attributes(self.root, "joint")
         self._edits: dict[tuple[int, str], Edit] = {}  # by element and attribute, which several effects may change
 
+        if plan.identified.model.has_floating_base and not self._has_free_joint():
+            base = plan.identified.model.bodies[0].name
+            self.not_carried.append(
+                Part("floating_base", base, "the file has no free joint, so that its base is fixed")
+            )
+
+    def _has_free_joint(self) -> bool:
+        """True if the base of a robot in the file moves freely, or if another file may say so."""
+        joints = [element for element in self._world if element.tag in ("freejoint", "joint")]
+        is_free = [joint.tag == "freejoint" or joint.attributes.get("type") == "free" for joint in joints]
+        return any(is_free) or self._has_include
+
     @override
     def set_joint(self, change: JointChange) -> None:
         element = self.find_joint(self._joints, change.part.of)

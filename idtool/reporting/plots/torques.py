@@ -50,7 +50,7 @@ def torque_figure(log: LogSeries, joint: JointSeries) -> Figure:
     if "prior" in curves:
         torques.append(curve("prior", log.t, curves["prior"], "prior", 1.3, "dot", visible="legendonly"))
     residual = [curve("residual", log.t, curves["residual"], "residual", 1)]
-    with_position = "position" in curves
+    with_position = any(curves.get("position", ()))  # not for the rows of the base and of wrench sensors
     panels = [
         Panel(f"torque [{joint.unit}]", torques, domain=(0.3, 0.64) if with_position else (0.36, 1)),
         Panel("residual", residual, domain=(0, 0.24) if with_position else (0, 0.28), axis={"nticks": 6}),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from idtool.reporting.results.base import (
-    ByJoint,
+    ByJointOrNone,
     Keys,
     ReadOnly,
     Record,
@@ -62,7 +62,9 @@ class AdaptationReport(ReproducibleResult):
     band_hz: float = field("Cut-off of the low-pass [Hz].")
     t: Vector = field("Time [s]; the first is 0, before any data.")
     theta: tuple[tuple[float, ...], ...] = field("The coefficients at each time.")
-    prediction_rms: ByJoint = field("RMS error of the torque predicted one sample ahead [N·m or N].")
+    prediction_rms: ByJointOrNone = field(
+        "RMS error of the torque predicted one sample ahead [N·m or N]; null for a row of which nothing was predicted."
+    )
     final: FinalEstimate = field("The estimate at the end.")
     samples: int = field("Number of updates.")
     update_hz: float = field("Updates per second of the log: one per row after decimation to the band [Hz].")

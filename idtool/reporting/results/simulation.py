@@ -25,6 +25,7 @@ class SimulationReport(Result):
     lost: int = field("Number of rollouts that diverged and were stopped.")
     samples: int = field("Number of samples.")
     seconds: float = field("Simulated time [s].")
+    log_seconds: float = field("Time in the log that has samples [s]; contacts leave part of it out.")
     wall_seconds: float = field("Wall time [s].")
     rmse: MotionRmse = field("RMS errors.")
     urdf: str = field("The URDF.")

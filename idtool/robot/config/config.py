@@ -83,20 +83,13 @@ class Config(ConfigRecord):
         """The file it was read from, if any."""
         return self._source
 
-    def require_fixed_base(self, command: str) -> None:
-        """Raise ConfigError if the base floats, which the command cannot handle."""
-        if self.base.kind != "fixed":
-            what = f"idtool {command} needs a fixed base"
-            supported = "a floating one is for init, fit, validate, inspect, diagnose, excite and export --to mujoco"
-            raise ConfigError("base.kind: floating", f"{what}; {supported}")
-
     def require_only_joints(self, command: str) -> None:
         """Raise ConfigError for a floating base, contacts or wrench sensors, which the command cannot handle."""
-        self.require_fixed_base(command)
+        if self.base.kind != "fixed":
+            raise ConfigError("base.kind: floating", f"idtool {command} needs a fixed base")
         for key in ("contacts", "wrench_sensors"):
             if getattr(self, key):
-                what = "are for init, fit, validate, inspect, diagnose, excite and export; remove them"
-                raise ConfigError(key, f"{what} for idtool {command}")
+                raise ConfigError(key, f"are not for idtool {command}; remove them")
 
     def without_friction_values(self) -> Config:
         """A copy with the friction terms, but without their values and without effects."""
