@@ -26,7 +26,8 @@ from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of
 from idtool.estimation.dataset.weights import free_noise
 from idtool.excitation.criteria import Criterion
 from idtool.excitation.deciding import decide as decide_between
-from idtool.excitation.design import Design, DesignOptions, LoggedData, design
+from idtool.excitation.design import Design, DesignOptions, design
+from idtool.excitation.logged_data import LoggedData
 from idtool.excitation.task import DesignTask, make_design_task
 from idtool.reporting.excitation_report import excitation_report
 from idtool.reporting.number_text import four_digits
