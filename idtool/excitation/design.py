@@ -180,12 +180,11 @@ def design(
     logged_information = logged_rows.T @ logged_rows
 
     repeats = int(np.ceil(remaining / MAX_DURATION))
-    spec = replace(
-        spec_of(remaining / repeats), max_frequency=max(frequency, 2 * repeats / remaining), tip=options.tip
-    )
+    spec = replace(spec_of(remaining / repeats), max_frequency=max(frequency, 2 * repeats / remaining), tip=options.tip)
     pattern = PATTERNS[options.pattern](spec)
     information = logged_information + _information(task, segments)
-    objective = Objective(task, pattern, information, repeats, coarse_rate(spec.max_frequency))
+    rate = max(_SAMPLES_PER_PERIOD * spec.max_frequency, _MIN_COARSE_RATE)
+    objective = Objective(task, pattern, information, repeats, rate)
     first, interrupted = search(objective, options.iterations, rng, progress)
 
     progress("checking the limits", 0.0)
@@ -284,11 +283,6 @@ def max_frequency(limits: Limits, rate: float, config: Config) -> float:
     return float(min(_ABOVE_CORNER * corner.max(), _BELOW_BAND * band))
 
 
-def coarse_rate(max_frequency: float) -> float:
-    """Rate of the samples at which motions up to a frequency [Hz] are evaluated during the search [Hz]."""
-    return max(_SAMPLES_PER_PERIOD * max_frequency, _MIN_COARSE_RATE)
-
-
 def friction_segments(
     options: DesignOptions,
     spec_of: Callable[[float], PatternSpec],
@@ -349,7 +343,9 @@ class SearchObjective(Protocol):
         ...
 
 
-def search(objective: SearchObjective, iterations: int, rng: np.random.Generator, progress: Progress) -> tuple[Array, bool]:
+def search(
+    objective: SearchObjective, iterations: int, rng: np.random.Generator, progress: Progress
+) -> tuple[Array, bool]:
     """Search for the best motion; returns the first one drawn, and True if the search was interrupted."""
     pattern = objective.pattern
     draws = [pattern.draw(rng) for _ in range(pattern.draws)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from idtool.common.arrays import Array
+from idtool.common.arrays import Array, Mask
 from idtool.excitation.limits import Limits
 from idtool.excitation.patterns import MotionSamples
 from idtool.excitation.standing.kinematics import BASE_MOTION, StandingKinematics
@@ -105,7 +105,7 @@ def _acceleration(
     return max(found / _STEPS, _MIN_SHARE) * largest
 
 
-def _is_feasible(robot: StandingRobot, loads: Loads) -> Array:
+def _is_feasible(robot: StandingRobot, loads: Loads) -> Mask:
     """True where torques and ground are within their limits, shape (N,)."""
     torque = (np.abs(loads.torque) <= robot.limits.effort[:, None]).all(axis=0)
     return np.asarray(torque & (loads.violation == 0))

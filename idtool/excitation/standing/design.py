@@ -21,7 +21,6 @@ from idtool.excitation.design import (
     MAX_DURATION,
     Design,
     DesignOptions,
-    coarse_rate,
     criteria_of,
     friction_segments,
     logged_rows_of,
@@ -32,13 +31,12 @@ from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.logged_data import LoggedData
 from idtool.excitation.patterns import (
     PATTERNS,
-    BSpline,
-    Fourier,
     MotionSamples,
     PatternSpec,
     Trajectory,
     TrajectorySegment,
 )
+from idtool.excitation.standing.feet import Foot
 from idtool.excitation.standing.kinematics import StandingKinematics, StandingSamples
 from idtool.excitation.standing.objective import StandingObjective
 from idtool.excitation.standing.predicted_log import predicted_log
@@ -46,8 +44,10 @@ from idtool.excitation.standing.robot import Loads
 from idtool.excitation.standing.task import StandingTask, joint_samples
 from idtool.robot.config import Config
 
-STANDING_PATTERNS = (Fourier.name, BSpline.name)
+STANDING_PATTERNS = ("fourier", "bspline")
 _MAX_FREQUENCY = 1.0  # Hz: on joint controllers, a standing robot sways by itself at some hertz
+_SAMPLES_PER_PERIOD = 12.0  # of the highest frequency, on the grid of the search
+_MIN_COARSE_RATE = 8.0  # Hz
 _SCALING_RATE = 50.0  # Hz, at which the scale of a segment is found
 _CHECK_RATE = 250.0  # Hz, at which the limits are checked
 _BLOCK = 2048  # samples
@@ -88,6 +88,10 @@ class GroundUse:
 
     Attributes
     ----------
+    feet
+        The feet.
+    friction_coefficient
+        That of the ground, without margin.
     friction
         Friction coefficient that each foot needs, shape (feet,).
     lowest_load
@@ -99,6 +103,8 @@ class GroundUse:
         Lowest and highest position [m] and rotation [rad] of the base from the stance, shape (2, 6).
     """
 
+    feet: tuple[Foot, ...]
+    friction_coefficient: float
     friction: Array
     lowest_load: Array
     pressure: Array
@@ -169,7 +175,7 @@ def design_standing(
     spec = replace(spec_of(remaining / repeats), max_frequency=max(frequency, 2 * repeats / remaining))
     pattern = PATTERNS[options.pattern](spec)
     information = logged_rows.T @ logged_rows
-    rate = coarse_rate(spec.max_frequency)
+    rate = max(_SAMPLES_PER_PERIOD * spec.max_frequency, _MIN_COARSE_RATE)
     for segment in segments:
         fixed = StandingObjective(task, segment.pattern, 0 * information, 1, rate)
         information = information + fixed.information(segment.x)
@@ -272,6 +278,8 @@ def _check(task: StandingTask, trajectory: StandingTrajectory) -> tuple[Array, G
     if (utilization > 1).any():
         raise ModelError(task.model.robot.path, "the trajectory exceeds limits; give a larger --margin")
     ground = GroundUse(
+        feet=task.kinematics.feet.feet,
+        friction_coefficient=task.friction_coefficient,
         friction=np.max(friction, axis=0),
         lowest_load=np.min(lowest, axis=0),
         pressure=np.max(pressure, axis=0),
@@ -280,9 +288,7 @@ def _check(task: StandingTask, trajectory: StandingTrajectory) -> tuple[Array, G
     return utilization, ground
 
 
-def _nearest_links(
-    task: StandingTask, trajectory: StandingTrajectory
-) -> tuple[tuple[str, str], float, float] | None:
+def _nearest_links(task: StandingTask, trajectory: StandingTrajectory) -> tuple[tuple[str, str], float, float] | None:
     """The two links that come nearest to each other, their distance [m], and the time [s]; None without any."""
     if task.collision is None or not task.collision.pairs:
         return None

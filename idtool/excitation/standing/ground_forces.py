@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class GroundForces:
         self._compliance = 1 / stiffness
         self._joints = len(stiffness)
         starts = np.cumsum([0, *(foot.size for foot in self.feet)])
-        self._parts = [slice(int(a), int(b)) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+        self._parts = [slice(int(start), int(end)) for start, end in pairwise(starts)]
 
     def distribute(self, J: Array, required: Array) -> tuple[Array, Array]:
         """The forces with the least elastic energy, and the torques of the joints that go with them.

@@ -52,9 +52,7 @@ class StandingObjective:
         Of the coarse samples [Hz].
     """
 
-    def __init__(
-        self, task: StandingTask, pattern: Pattern, information: Array, repeats: int, rate: float
-    ) -> None:
+    def __init__(self, task: StandingTask, pattern: Pattern, information: Array, repeats: int, rate: float) -> None:
         self.task = task
         self.pattern = pattern
         intervals = max(int(np.ceil(rate * pattern.duration)), 10)

@@ -86,13 +86,16 @@ class StandingTask(DesignTask):
     soles
         Rotation of every foot's link to the world, shape (3, 3) each.
     coordinate_limits
-        Limits of the independent coordinates, about which a motion is designed.
+        Limits of the independent coordinates.
+    friction_coefficient
+        That of the ground, without margin.
     """
 
     kinematics: StandingKinematics
     robot: StandingRobot
     soles: tuple[Array, ...]
     coordinate_limits: Limits
+    friction_coefficient: float
 
     def standing_motion(self, samples: StandingSamples, t: Array, velocity_deadband: Array) -> Motion:
         """Samples as the torque equation takes them."""
@@ -211,6 +214,7 @@ def make_standing_task(
         robot=robot,
         soles=tuple(soles),
         coordinate_limits=coordinates,
+        friction_coefficient=standing.friction_coefficient,
     )
 
 
