@@ -15,7 +15,7 @@ from idtool.excitation.standing.kinematics import BASE_MOTION, StandingKinematic
 from idtool.excitation.standing.robot import Loads, StandingRobot
 
 _STEPS = 25  # to the largest excursion or acceleration
-_MAX_EXCURSION = (0.2, 0.2, 0.2, 0.35, 0.35, 0.5)  # m and rad, of the base
+_MAX_EXCURSION = (0.2, 0.2, 0.2, 0.35, 0.35, 0.35)  # m and rad, of the base
 _MAX_ACCELERATION = (8.0, 8.0, 8.0, 40.0, 40.0, 40.0)  # m/s² and rad/s², of the base
 _MIN_SHARE = 1e-3  # of the largest, so that no limit is 0
 _DEADBAND = 1.0  # rad/s or m/s: friction takes either side

@@ -35,11 +35,14 @@ class GroundLimits:
         Least force across the ground on each foot [N].
     sole_share
         Share of the sole, about its middle, in which the centre of pressure stays.
+    force_error
+        Error of the force along the ground that the friction of each foot must bear beside the predicted force [N].
     """
 
     friction_coefficient: float
     min_load: float
     sole_share: float
+    force_error: float
 
 
 @dataclass(frozen=True)
@@ -158,7 +161,8 @@ class GroundForces:
         limits = self.limits
         normal = loads.normal
         share = np.maximum(normal, _MIN_NORMAL) / even_load
+        unexpected = margin + limits.force_error / even_load
         lifted = np.maximum((limits.min_load - normal) / even_load + margin, 0.0)
-        slipping = np.maximum((loads.friction - limits.friction_coefficient) * share + margin, 0.0)
+        slipping = np.maximum(unexpected + (loads.friction - limits.friction_coefficient) * share, 0.0)
         tipping = np.maximum((loads.pressure - limits.sole_share) * share + margin, 0.0)
         return np.asarray(np.sqrt(np.square(np.stack([lifted, slipping, tipping])).sum(axis=(0, 1))))

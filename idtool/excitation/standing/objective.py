@@ -17,7 +17,7 @@ from idtool.excitation.standing.kinematics import StandingSamples, Tangents
 from idtool.excitation.standing.robot import Loads
 from idtool.excitation.standing.task import StandingTask, joint_samples
 
-_STEPS = (1e-6, 1e-5, 1e-3)  # of the differences by u, du/dt and d²u/dt²
+_STEPS = (1e-7, 1e-6, 1e-4)  # of the differences by u, du/dt and d²u/dt²
 _EFFORT_SHARE = 0.95  # of the effort limits is used while searching
 _LOAD_MARGIN = 0.02  # of an even load, by which the ground's limits are tightened while searching
 _CLEARANCE_MARGIN = 1.2  # times the wanted clearance: farther pairs have no penalty

@@ -44,6 +44,7 @@ from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import RobotModel
 
 _MIN_LOAD = 0.3  # of an even share of the weight, on every foot
+_FORCE_ERROR = 0.1  # of an even share of the weight, by which the force along the ground may differ from predicted
 _SOLE_SHARE = 0.8  # of a sole, in which the centre of pressure stays
 _NOISE_ARM = 0.1  # m, at which the noise of a force on the base acts
 _RANDOM_SAMPLES = 300  # of postures and motions that tell the base parameters
@@ -172,7 +173,7 @@ def make_standing_task(
     equation = _with_noise(equation, equation.contacts, sigma)
     even_load = GRAVITY * model.mass / len(feet)
     friction_coefficient = (1 - margin) * standing.friction_coefficient
-    ground = GroundLimits(friction_coefficient, _MIN_LOAD * even_load, _SOLE_SHARE)
+    ground = GroundLimits(friction_coefficient, _MIN_LOAD * even_load, _SOLE_SHARE, _FORCE_ERROR * even_load)
     foot_kinematics = FootKinematics(model, feet)
     forces = GroundForces(feet, _controller_stiffness(model, config), ground)
     robot = StandingRobot(model, equation, equation.prior, limits, foot_kinematics, forces)
