@@ -1,6 +1,7 @@
 """Quadruped that stands along a designed trajectory, compared with one that sways by hand.
 
-Run ``python benchmarks/ground --out FOLDER --seconds 12`` first, then ``python benchmarks/ground_excitation.py FOLDER``.
+Run ``python benchmarks/ground --out FOLDER --seconds 12`` first, then
+``python benchmarks/ground_excitation.py FOLDER``.
 
 `idtool excite --stand` designs a trajectory with the URDF, whose bodies are 10 to 30 % off. The true robot plays it in
 MuJoCo under joint controllers. The model is fitted to a log of this motion and one of the hanging robot, and to as long

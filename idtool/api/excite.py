@@ -221,7 +221,7 @@ def excite(
     else:
         settings = experiment.config
         sources = experiment.sources
-        notices = experiment.notices
+        notices = [*held_notices, *experiment.notices]
     explanations = None
     if alternatives is not None:
         explanations = find_explanations(alternatives, task, settings, experiment, report_progress)

@@ -189,22 +189,15 @@ def _clearance(design: Design) -> Clearance | None:
 def _standing(design: StandingDesign) -> StandingReport:
     ground = design.ground
     feet = {}
-    names = design.task.model.joint_names
-    shares: dict[str, float] = {}
-    for k, row in enumerate(QUANTITIES):
-        shares |= {f"{row} of {name}": float(x) for name, x in zip(names, design.utilization[k], strict=True)}
     for foot, friction, force, pressure in zip(
         ground.feet, ground.friction, ground.lowest_load, ground.pressure, strict=True
     ):
-        shares[f"friction of {foot.name}"] = float(friction) / ground.friction_coefficient
-        is_sole = foot.sole is not None
-        if is_sole:
-            shares[f"centre of pressure of {foot.name}"] = float(pressure)
         feet[foot.name] = FootLoadReport(
             friction_coefficient=float(friction),
             min_force=float(force),
-            pressure=float(pressure) if is_sole else None,
+            pressure=None if foot.sole is None else float(pressure),
         )
+    shares = ground.limit_shares
     tightest = max(shares, key=lambda name: shares[name])
     return StandingReport(
         friction_coefficient=ground.friction_coefficient,

@@ -5,7 +5,7 @@ As `design`, but what is designed is the motion of the independent coordinates: 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,6 +101,8 @@ class GroundUse:
         points; shape (feet,).
     base
         Lowest and highest position [m] and rotation [rad] of the base from the stance, shape (2, 6).
+    limit_shares
+        Largest share of each limit of the design, by its name; 1 at the limit.
     """
 
     feet: tuple[Foot, ...]
@@ -109,6 +111,7 @@ class GroundUse:
     lowest_load: Array
     pressure: Array
     base: Array
+    limit_shares: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -265,6 +268,7 @@ def _check(task: StandingTask, trajectory: StandingTrajectory) -> tuple[Array, G
     """
     utilization = np.zeros((len(QUANTITIES), task.model.joint_count))
     friction, lowest, pressure, base = [], [], [], []
+    shares: dict[str, float] = {}
     distinct = {id(segment): segment for segment in trajectory.segments}
     for segment in distinct.values():
         for _, samples, loads in _blocks(task, segment, _CHECK_RATE):
@@ -273,6 +277,8 @@ def _check(task: StandingTask, trajectory: StandingTrajectory) -> tuple[Array, G
             friction.append(loads.ground.friction.max(axis=1))
             lowest.append(loads.ground.normal.min(axis=1))
             pressure.append(loads.ground.pressure.max(axis=1))
+            for name, share in _limit_shares(task, samples, loads).items():
+                shares[name] = max(share, shares.get(name, 0.0))
             excursion = samples.w[task.model.joint_count :]
             base += [excursion.min(axis=1), excursion.max(axis=1)]
     if (utilization > 1).any():
@@ -284,8 +290,28 @@ def _check(task: StandingTask, trajectory: StandingTrajectory) -> tuple[Array, G
         lowest_load=np.min(lowest, axis=0),
         pressure=np.max(pressure, axis=0),
         base=np.stack([np.min(base, axis=0), np.max(base, axis=0)]),
+        limit_shares=shares,
     )
     return utilization, ground
+
+
+def _limit_shares(task: StandingTask, samples: StandingSamples, loads: Loads) -> dict[str, float]:
+    """Largest share of each limit of the design, by its name."""
+    shares: dict[str, float] = {}
+    used = task.limits.utilization(*joint_samples(task, samples), loads.torque)
+    for quantity, row in zip(QUANTITIES, used, strict=True):
+        shares |= {f"{quantity} of {name}": float(share) for name, share in zip(task.limits.joints, row, strict=True)}
+    ground = task.robot.forces.limit_shares(loads.ground)
+    for foot, load, friction, pressure in zip(
+        task.kinematics.feet.feet, ground.normal, ground.friction, ground.pressure, strict=True
+    ):
+        shares[f"load of {foot.name}"] = float(load.max())
+        shares[f"friction of {foot.name}"] = float(friction.max())
+        if foot.sole is not None:
+            shares[f"centre of pressure of {foot.name}"] = float(pressure.max())
+    for name, share in zip(task.kinematics.coordinates, task.coordinate_use(samples), strict=True):
+        shares[f"motion of {name}"] = float(share.max())
+    return shares
 
 
 def _nearest_links(task: StandingTask, trajectory: StandingTrajectory) -> tuple[tuple[str, str], float, float] | None:

@@ -146,6 +146,19 @@ class GroundForces:
             friction[i] = np.maximum(friction[i], np.abs(about_center) / (np.hypot(*half) * positive))
         return GroundLoads(normal, friction, pressure)
 
+    def limit_shares(self, loads: GroundLoads) -> GroundLoads:
+        """Loads as shares of their limits, 1 at the limit: of the least force, of friction and of the sole.
+
+        Parameters
+        ----------
+        loads
+            The loads.
+        """
+        limits = self.limits
+        normal = np.maximum(loads.normal, _MIN_NORMAL)
+        friction = (loads.friction + limits.force_error / normal) / limits.friction_coefficient
+        return GroundLoads(limits.min_load / normal, friction, loads.pressure / limits.sole_share)
+
     def violations(self, loads: GroundLoads, even_load: float, margin: float = 0.0) -> Array:
         """By how much the loads are beyond the limits, as shares of an even load, shape (N,); 0 within them.
 

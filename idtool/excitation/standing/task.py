@@ -109,12 +109,15 @@ class StandingTask(DesignTask):
         jacobian = self.kinematics.foot_jacobian(samples.w)
         return self.robot.loads(required, jacobian, list(self.soles))
 
-    def excess(self, samples: StandingSamples) -> Array:
-        """By how much the independent coordinates are beyond their limits, as shares of half their range, (d, N)."""
+    def coordinate_use(self, samples: StandingSamples) -> Array:
+        """Distances of the independent coordinates from the middle, as shares of half their range, shape (d, N)."""
         limits = self.coordinate_limits
         u = samples.w[self.kinematics.independent]
-        share = np.abs(u - limits.middle[:, None]) / limits.half_range[:, None]
-        return np.maximum(share - 1, 0.0)
+        return np.asarray(np.abs(u - limits.middle[:, None]) / limits.half_range[:, None])
+
+    def excess(self, samples: StandingSamples) -> Array:
+        """By how much the independent coordinates are beyond their limits, as shares of half their range, (d, N)."""
+        return np.maximum(self.coordinate_use(samples) - 1, 0.0)
 
     def base_selections(self) -> list[Array]:
         """Per row, what takes its columns to those of the base parameters in units of their scales, (m_j, r)."""

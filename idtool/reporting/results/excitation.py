@@ -111,7 +111,7 @@ class StandingReport(Record):
     base: Annotated[ReadOnly[Interval], Keys("direction")] = field(
         "Smallest and largest displacement [m] and rotation [rad] of the base from the stance."
     )
-    tightest: str = field("The limit of which the motion uses the largest fraction.")
+    tightest: str = field("The limit of which the motion uses the largest fraction, with the margins of the design.")
     tightest_use: float = field("This fraction.")
 
 

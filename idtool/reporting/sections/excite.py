@@ -125,7 +125,7 @@ def ground_sentence(report: ExcitationReport) -> str:
     turn = max(largest[f"base_{axis}"] for axis in ("roll", "pitch", "yaw"))
     use = percent_cell(standing.tightest_use).text
     return (
-        f"tightest limit: {standing.tightest} ({use}, with a friction coefficient of "
+        f"tightest limit: {standing.tightest} ({use}, with all margins and a friction coefficient of "
         f"{standing.friction_coefficient:g}); the base moves by up to {100 * shift:.2g} cm and turns by up to "
         f"{math.degrees(turn):.2g}° from the stance"
     )
