@@ -3,10 +3,11 @@
 Run ``python benchmarks/ground --out FOLDER --seconds 12`` first, then
 ``python benchmarks/ground_excitation.py FOLDER``.
 
-`idtool excite --stand` designs a trajectory with the URDF, whose bodies are 10 to 30 % off. The true robot plays it in
-MuJoCo under joint controllers. The model is fitted to a log of this motion and one of the hanging robot, and to as long
-a log of the hand-made motion and the same one of the hanging robot. It prints the largest ratio of friction, how long a
-foot is off the ground, and the errors of mass and centre of mass.
+`idtool excite --stand` designs a trajectory that complements the log of the hanging robot, with the URDF, whose bodies
+are 10 to 30 % off. The true robot plays it in MuJoCo under joint controllers. The model is fitted to a log of this
+motion and that of the hanging robot, and to as long a log of the hand-made motion and the same one of the hanging
+robot. It prints the largest ratio of friction, how long a foot is off the ground, and the errors of mass and centre of
+mass.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Design, play and evaluate a trajectory of a standing quadruped.")
     parser.add_argument("folder", type=Path, help="from benchmarks/ground")
     parser.add_argument("--seconds", type=float, default=8.0, help="length of each standing log")
-    parser.add_argument("--iterations", type=int, default=40)
+    parser.add_argument("--iterations", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0, help="of the robot, of the hand-made motion and of the search")
     options = parser.parse_args()
     folder = options.folder
@@ -35,7 +36,13 @@ def main() -> None:
 
     model = idtool.Model(folder / "quadruped.urdf")
     result = idtool.excite(
-        model, stand=True, duration=options.seconds, iterations=options.iterations, seed=options.seed
+        model,
+        logs=folder / "hang.csv",
+        stand=True,
+        duration=options.seconds,
+        slow=0.1,
+        iterations=options.iterations,
+        seed=options.seed,
     )
     result.save(folder / "designed_commands.csv")
     table = np.genfromtxt(folder / "designed_commands.csv", delimiter=",", names=True)
