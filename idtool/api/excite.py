@@ -308,7 +308,8 @@ def _check_standing(
 def _standing(settings: Config) -> tuple[Config, tuple[Notice, ...]]:
     """Settings of a robot that stands, and a notice on what its trajectory depends on.
 
-    What a wrench sensor measures is left out: without it, a trajectory is expected to tell less than it does.
+    What a wrench sensor measures is left out: without it, a trajectory is expected to tell less than it does. Feet are
+    rigid: how far they give way depends on a torque that is not measured yet.
     """
     if settings.base.kind == "fixed":
         raise ConfigError("--stand", "needs a floating base and contacts; set base: {kind: floating} and contacts")
@@ -318,7 +319,8 @@ def _standing(settings: Config) -> tuple[Config, tuple[Notice, ...]]:
     )
     advice = "try the trajectory at a fraction of its speed, and log a motion of the hanging robot too"
     notice = Notice("robot_must_stand", "note", None, message, advice)
-    return settings.model_copy(update={"wrench_sensors": ()}), (notice,)
+    rigid = tuple(contact.model_copy(update={"compliance": "none"}) for contact in settings.contacts)
+    return settings.model_copy(update={"wrench_sensors": (), "contacts": rigid}), (notice,)
 
 
 def _expanded(start: Mapping[str, float], robot: Robot) -> dict[str, float]:
