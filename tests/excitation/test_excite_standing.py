@@ -42,7 +42,7 @@ def test_the_ground_and_all_limits_are_respected(report: dict[str, Any]) -> None
     assert set(standing["feet"]) == set(FEET)
     for foot in standing["feet"].values():
         assert foot["friction_coefficient"] < 0.45
-        assert foot["min_force"] > 0.29 * 9.81 * TRUTH.mass / 4
+        assert foot["min_force"] > 0.44 * 9.81 * TRUTH.mass / 4
         assert foot["pressure"] is None
     assert 0.3 < standing["tightest_use"] <= 1
     assert max(abs(end) for end in standing["base"]["base_yaw"]) > 0.01

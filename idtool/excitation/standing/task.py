@@ -43,7 +43,7 @@ from idtool.robot.config import Config
 from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import RobotModel
 
-_MIN_LOAD = 0.3  # of an even share of the weight, on every foot
+_MIN_LOAD = 0.45  # of an even share of the weight, on every foot
 _FORCE_ERROR = 0.1  # of an even share of the weight, by which the force along the ground may differ from predicted
 _SOLE_SHARE = 0.8  # of a sole, in which the centre of pressure stays
 _NOISE_ARM = 0.1  # m, at which the noise of a force on the base acts
