@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from ground.motions import Motion
 from ground.plant import BASE, Physics, Plant
 from ground.robot import Array, Robot
 from ground.robots import motion
@@ -71,9 +72,20 @@ def record(
     physics: Physics | None = None,
     sensors: Sensors | None = None,
 ) -> Recording:
+    """Recording of a motion of a kind; RuntimeError if the robot falls."""
+    return record_motion(robot, motion(robot, kind, seconds, seed), seconds, seed, physics, sensors)
+
+
+def record_motion(
+    robot: Robot,
+    course: Motion,
+    seconds: float,
+    seed: int,
+    physics: Physics | None = None,
+    sensors: Sensors | None = None,
+) -> Recording:
     """Recording of a motion; RuntimeError if the robot falls."""
     sensors = sensors or Sensors()
-    course = motion(robot, kind, seconds, seed)
     physics = replace(physics or Physics(), is_held=course.is_held)
     q_first, _ = course.reference(0.0)
     dt = 1 / RATE / _STEPS

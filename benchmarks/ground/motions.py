@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,5 +66,18 @@ def swinging(rng: np.random.Generator, stance: Array, size: Array) -> Reference:
     def at(t: float) -> tuple[Array, Array]:
         x, dx = swing(t)
         return stance + x, dx
+
+    return at
+
+
+def played(commands: Mapping[str, Array], joints: Sequence[str]) -> Reference:
+    """Positions and velocities that a log of commands asks for, by its columns, shape (N,)."""
+    t = commands["t"]
+    q = np.stack([commands[f"qcmd_{joint}"] for joint in joints])
+    v = np.stack([commands[f"vcmd_{joint}"] for joint in joints])
+
+    def at(time: float) -> tuple[Array, Array]:
+        k = min(max(round((time - t[0]) / (t[1] - t[0])), 0), len(t) - 1)
+        return q[:, k], v[:, k]
 
     return at

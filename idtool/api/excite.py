@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import fnmatch
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
+
+import numpy as np
 
 from idtool.api.data import as_list
 from idtool.api.explanations import find_explanations, parse_alternatives
@@ -18,15 +21,20 @@ from idtool.common.names import suggestion
 from idtool.common.notice import Notice
 from idtool.common.outputs import write_all
 from idtool.data.logs import check_log_file, write_log
+from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.equality_constraints import equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of
 from idtool.estimation.dataset.weights import free_noise
+from idtool.estimation.row_noise import with_row_noise
 from idtool.excitation.criteria import Criterion
 from idtool.excitation.deciding import decide as decide_between
-from idtool.excitation.design import Design, DesignOptions, LoggedData, design
+from idtool.excitation.design import Design, DesignOptions, design
+from idtool.excitation.logged_data import LoggedData
+from idtool.excitation.standing.design import design_standing
+from idtool.excitation.standing.task import StandingOptions, StandingTask, make_standing_task
 from idtool.excitation.task import DesignTask, make_design_task
 from idtool.reporting.excitation_report import excitation_report
 from idtool.reporting.number_text import four_digits
@@ -37,6 +45,11 @@ from idtool.robot.urdf.reading import Robot
 
 CRITERIA = ("d", "a", "e", "condition")
 ALL_JOINTS = ""  # in place of a joint: all joints
+
+_ITERATIONS, _STANDING_ITERATIONS = 200, 60
+_FRICTION_COEFFICIENT = 0.5
+_MIN_FRICTION, _MAX_FRICTION = 0.05, 2.0
+_MAX_SOLE = 2.0  # m
 
 
 class ExcitationResult(ExcitationReport):
@@ -106,8 +119,12 @@ def excite(
     clearance: float = 0.01,
     start: Mapping[str, float] | None = None,
     tip: str | None = None,
-    iterations: int = 200,
+    iterations: int | None = None,
     seed: int | None = None,
+    stand: bool = False,
+    feet: Sequence[str] = (),
+    friction_coefficient: float | None = None,
+    sole_size: tuple[float, float] | None = None,
     decide: tuple[str, str] | None = None,
     progress: Progress | None = None,
 ) -> ExcitationResult:
@@ -141,13 +158,22 @@ def excite(
     clearance
         Minimum distance between links [m].
     start
-        Pose at start and end, by joint [rad or m].
+        Pose at start and end, by joint [rad or m]; a name may contain wildcards, as in ``*_knee_joint``.
     tip
         Link that follows the shell; None: the last link of every limb.
     iterations
-        Number of iterations of the search.
+        Number of iterations of the search; None: 200, or 60 with ``stand``.
     seed
         Random seed; None: the seed of the configuration.
+    stand
+        If true, the feet of a robot with a floating base stay on the ground, and its base moves. If false, the base is
+        held, and the feet are in the air.
+    feet
+        With ``stand``, the contacts that stay on the ground; none: all that are not on the base.
+    friction_coefficient
+        With ``stand``, the friction coefficient of the feet on the ground; None: 0.5.
+    sole_size
+        With ``stand``, length and width of the feet that are surfaces [m]; None: from the geometry of their links.
     decide
         Two explanations of what a model lacks, between which a log of the trajectory will decide: each an effect on a
         joint or link (``"stribeck_friction:hip"``), or a configuration file with effects. The parameters are those of
@@ -162,23 +188,31 @@ def excite(
     """
     report_progress = progress or ignore_progress
     _check_options(criterion, duration, rate, margin, clearance, max_frequency)
+    _check_standing(stand, feet, friction_coefficient, sole_size, tip, decide)
     model = as_model(model)
-    given, held_notices = _held_at_base(model.settings, with_logs=bool(as_list(logs)))
+    if stand:
+        given, held_notices = _standing(model.settings)
+    else:
+        given, held_notices = _held_at_base(model.settings, with_logs=bool(as_list(logs)))
     alternatives = None if decide is None else parse_alternatives(decide)
     options = DesignOptions(
         pattern=pattern,
         duration=duration,
         friction_share=slow,
         max_frequency=max_frequency,
-        iterations=iterations,
+        iterations=iterations or (_STANDING_ITERATIONS if stand else _ITERATIONS),
         seed=given.seed if seed is None else seed,
-        start=dict(start or {}),
+        start=_expanded(start or {}, model.robot),
         tip=tip,
     )
     paths = [Path(str(path)) for path in as_list(logs)]
     experiment = _load_experiment(model.robot, given, paths, report_progress)
+    standing = None
+    if stand:
+        friction = _FRICTION_COEFFICIENT if friction_coefficient is None else friction_coefficient
+        standing = StandingOptions(tuple(feet), friction, sole_size, options.start)
     task, logged = _make_task(
-        model.robot, given, experiment, noise, rate, margin, clearance, criterion, favour, report_progress
+        model.robot, given, experiment, standing, noise, rate, margin, clearance, criterion, favour, report_progress
     )
     if experiment is None:
         settings = given
@@ -187,11 +221,14 @@ def excite(
     else:
         settings = experiment.config
         sources = experiment.sources
-        notices = experiment.notices
+        notices = [*held_notices, *experiment.notices]
     explanations = None
     if alternatives is not None:
         explanations = find_explanations(alternatives, task, settings, experiment, report_progress)
-    chosen_design = design(task, settings, options, logged, report_progress)
+    if isinstance(task, StandingTask):
+        chosen_design: Design = design_standing(task, settings, options, logged, report_progress)
+    else:
+        chosen_design = design(task, settings, options, logged, report_progress)
     decision = None
     if explanations is not None:
         chosen_design, decision = decide_between(
@@ -243,11 +280,68 @@ def _held_at_base(settings: Config, with_logs: bool) -> tuple[Config, tuple[Noti
     return held, (Notice("base_is_held", "warning", None, message, advice),)
 
 
+def _check_standing(
+    stand: bool,
+    feet: Sequence[str],
+    friction_coefficient: float | None,
+    sole_size: tuple[float, float] | None,
+    tip: str | None,
+    decide: tuple[str, str] | None,
+) -> None:
+    """Refuse options that do not go together with ``stand``, or need it, or are out of their range; ConfigError."""
+    given = {"--feet": bool(feet), "--friction-coefficient": friction_coefficient is not None}
+    given["--sole-size"] = sole_size is not None
+    for option, is_given in given.items():
+        if is_given and not stand:
+            raise ConfigError(option, "is for a robot that stands; add --stand")
+    for option, is_given in {"--tip": tip is not None, "--decide": decide is not None}.items():
+        if is_given and stand:
+            raise ConfigError(option, "is not for a robot that stands; leave out --stand")
+    if friction_coefficient is not None and not _MIN_FRICTION <= friction_coefficient <= _MAX_FRICTION:
+        between = f"between {_MIN_FRICTION:g} and {_MAX_FRICTION:g}"
+        raise ConfigError("--friction-coefficient", f"{friction_coefficient:g} is not {between}")
+    for size in sole_size or ():
+        if not 0 < size <= _MAX_SOLE:
+            raise ConfigError("--sole-size", f"{size:g} is not between 0 and {_MAX_SOLE:g} m")
+
+
+def _standing(settings: Config) -> tuple[Config, tuple[Notice, ...]]:
+    """Settings of a robot that stands, and a notice on what its trajectory depends on.
+
+    What a wrench sensor measures is left out: without it, a trajectory is expected to tell less than it does. Feet are
+    rigid: how far they give way depends on a torque that is not measured yet.
+    """
+    if settings.base.kind == "fixed":
+        raise ConfigError("--stand", "needs a floating base and contacts; set base: {kind: floating} and contacts")
+    message = (
+        "the feet stay on the ground if the masses of the URDF are about right and the joints follow the trajectory; "
+        "standing alone does not determine the mass"
+    )
+    advice = "try the trajectory at a fraction of its speed, and log a motion of the hanging robot too"
+    notice = Notice("robot_must_stand", "note", None, message, advice)
+    rigid = tuple(contact.model_copy(update={"compliance": "none"}) for contact in settings.contacts)
+    return settings.model_copy(update={"wrench_sensors": (), "contacts": rigid}), (notice,)
+
+
+def _expanded(start: Mapping[str, float], robot: Robot) -> dict[str, float]:
+    """Positions by joint, from those by joint or pattern of names; an exact name counts more than a pattern."""
+    joints = [joint.name for joint in robot.joints.values() if joint.kind != "fixed" and joint.mimic is None]
+    by_pattern: dict[str, float] = {}
+    for name, value in start.items():
+        if name not in joints and any(character in name for character in "*?"):
+            matches = fnmatch.filter(joints, name)
+            if not matches:
+                raise ConfigError("--start", f"{name} matches no moving joint; {suggestion(name, joints)}")
+            by_pattern |= dict.fromkeys(matches, value)
+    return by_pattern | {name: value for name, value in start.items() if not ({"*", "?"} & set(name))}
+
+
 def _load_experiment(robot: Robot, settings: Config, logs: Sequence[Path], progress: Progress) -> Experiment | None:
     """The experiment of the existing logs; None without any."""
     if not logs:
         return None
     experiment, _, _ = with_delay(prepare(robot, settings, logs, holdout=0.0), progress)
+    experiment, _ = with_row_noise(experiment, progress)
     return experiment
 
 
@@ -255,6 +349,7 @@ def _make_task(
     robot: Robot,
     settings: Config,
     experiment: Experiment | None,
+    standing: StandingOptions | None,
     noise: float | Mapping[str, float] | None,
     rate: float,
     margin: float,
@@ -270,19 +365,41 @@ def _make_task(
         tree, equation, settings = experiment.model, experiment.equation, experiment.config
         equalities = experiment.equalities
         reduction = experiment.reduce(progress)
-        logged = LoggedData(reduction, free_noise(equation, reduction, equalities))
+        contacts = equation.contacts
+        sigma = free_noise(equation, reduction, equalities) if contacts is None else contacts.noise
+        logged = LoggedData(reduction, sigma)
         measured_noise = dict(zip(tree.names, logged.noise.tolist(), strict=True))
     else:
         moving = [joint.name for joint in robot.joints.values() if joint.kind != "fixed" and not joint.mimic]
         tree = build_model(robot, settings, moving)
-        equation = LinearModel(tree.names, build_effects(tree, settings))
+        contacts = None
+        if standing is not None:
+            contacts = ContactModel(tree, settings.contacts, np.ones(len(tree.names)))
+            measured_noise = dict(settings.base.noise)
+        equation = LinearModel(tree.names, build_effects(tree, settings), contacts=contacts)
         equalities = equality_constraints(settings, tree, equation)
+    given_noise = {**measured_noise, **_given_noise(noise, tree.joint_names)}
+    if standing is not None:
+        return make_standing_task(
+            tree,
+            equation,
+            equalities,
+            settings,
+            standing,
+            logged,
+            noise=given_noise,
+            rate=rate,
+            margin=margin,
+            clearance=clearance,
+            criterion=cast(Criterion, criterion),
+            favour=favour,
+        ), logged
     task = make_design_task(
         tree,
         equation,
         equalities,
         settings,
-        noise={**measured_noise, **_given_noise(noise, tree.names)},
+        noise=given_noise,
         rate=rate,
         margin=margin,
         clearance=clearance,

@@ -87,13 +87,32 @@ def excite_command(
     margin: Annotated[float, typer.Option(help="Unused fraction of each limit; twice that for the effort.")] = 0.1,
     clearance: Annotated[float, typer.Option(help="Minimum distance between links, m.")] = 0.01,
     start: Annotated[
-        list[str] | None, typer.Option(help="Joint position at start and end: hip=0.5; repeatable.")
+        list[str] | None, typer.Option(help="Joint position at start and end: hip=0.5, or *_knee=-1; repeatable.")
     ] = None,
     tip: Annotated[
         str | None, typer.Option(help="Link that follows the shell; default: the last link of every limb.")
     ] = None,
-    iterations: Annotated[int, typer.Option(min=1, help="Iterations of the search.")] = 200,
+    iterations: Annotated[
+        int | None, typer.Option(min=1, help="Iterations of the search; default: 200, with --stand 60.")
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Random seed; default: that of the configuration.")] = None,
+    stand: Annotated[
+        bool, typer.Option("--stand", help="Keep the feet on the ground; default: the base is held, the feet hang.")
+    ] = False,
+    feet: Annotated[
+        list[str] | None,
+        typer.Option(help="Contact that stays on the ground with --stand; repeatable; default: all off the base."),
+    ] = None,
+    friction_coefficient: Annotated[
+        float | None,
+        typer.Option("--friction-coefficient", help="Of the feet on the ground, with --stand; default: 0.5."),
+    ] = None,
+    sole_size: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            "--sole-size", metavar="LENGTH WIDTH", help="Of feet that are surfaces, m; default: from their geometry."
+        ),
+    ] = None,
     decide: Annotated[
         tuple[str, str] | None,
         typer.Option(
@@ -134,6 +153,10 @@ def excite_command(
             tip=tip,
             iterations=iterations,
             seed=seed,
+            stand=stand,
+            feet=feet or (),
+            friction_coefficient=friction_coefficient,
+            sole_size=sole_size,
             decide=decide,
             progress=progress,
         )

@@ -32,9 +32,10 @@ from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import empty, reduce_blocks
 from idtool.estimation.uncertainty.base_parameters import structural_base_parameters
 from idtool.excitation.criteria import BaseColumns
-from idtool.excitation.design import Design, DesignOptions, LoggedData, design, predicted_signals, with_trajectory
+from idtool.excitation.design import Design, DesignOptions, design, predicted_signals, with_trajectory
 from idtool.excitation.explanations import Explanation, ExplanationTorque, without_effects
 from idtool.excitation.feasibility import scale_to_limits
+from idtool.excitation.logged_data import LoggedData
 from idtool.excitation.patterns import (
     PATTERNS,
     Pattern,

@@ -8,9 +8,10 @@ Shapes: nv joints, N samples, r base parameters, p coefficients. Units: rad or m
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from scipy.optimize import minimize
@@ -23,13 +24,24 @@ from idtool.data.signals import Signals, default_cutoff
 from idtool.estimation.dataset.experiment import Progress
 from idtool.estimation.dataset.reduction import Reduction, empty, reduce_blocks
 from idtool.excitation.criteria import CRITERIA, StandardErrors, expected_standard_errors
-from idtool.excitation.feasibility import collision_times, home_pose, limit_utilization, nearest_links, scale_to_limits
+from idtool.excitation.feasibility import home_pose, limit_utilization, nearest_links, scale_to_limits
+from idtool.excitation.limits import Limits
+from idtool.excitation.logged_data import LoggedData
 from idtool.excitation.objective import Objective
-from idtool.excitation.patterns import PATTERNS, PatternSpec, SlowSweeps, Standstill, Trajectory, TrajectorySegment
+from idtool.excitation.patterns import (
+    PATTERNS,
+    MotionSamples,
+    Pattern,
+    PatternSpec,
+    SlowSweeps,
+    Standstill,
+    Trajectory,
+    TrajectorySegment,
+)
 from idtool.excitation.task import DesignTask
 from idtool.robot.config import Config
 
-_MAX_DURATION = 40.0  # s of a motion that is searched for; longer ones are repeated
+MAX_DURATION = 40.0  # s of a motion that is searched for; longer ones are repeated
 _MIN_DURATION = 2.0  # s
 _STANDSTILL_SHARE = 0.25  # of the time for friction
 _MIN_FRICTION_DURATION = 1.0  # s of slow sweeps or standstill; shorter ones are left out
@@ -117,15 +129,12 @@ class Design:
         """The trajectory as a log of commands; q and v are those of perfect tracking."""
         t, (q, v, _) = self.trajectory.sampled(self.task.rate)
         signals = {"q": q.T, "v": v.T, "qcmd": q.T, "vcmd": v.T}
-        return make_log(path, t, self.task.model.names, {name: x.copy() for name, x in signals.items()})
+        return make_log(path, t, self.task.model.joint_names, {name: x.copy() for name, x in signals.items()})
 
-
-@dataclass(frozen=True)
-class LoggedData:
-    """Data that was logged before: its R-factors, and the noise of each joint in them, shape (nv,)."""
-
-    reduction: Reduction
-    noise: Array
+    def curves(self, t: Array) -> tuple[MotionSamples, Array]:
+        """Motion of the joints and their predicted torque at ascending times, shape (n, N) each."""
+        samples = self.trajectory.motion(t)
+        return samples, self.task.torque(samples, t)
 
 
 def design(
@@ -156,27 +165,27 @@ def design(
             "--pattern", f"{options.pattern} is not a pattern; {suggestion(options.pattern, list(PATTERNS))}"
         )
     rng = np.random.default_rng(options.seed)
-    frequency = options.max_frequency or max_frequency(task, config)
+    frequency = options.max_frequency or max_frequency(task.limits, task.rate, config)
     home = home_pose(task, options.start, rng)
-    friction_segments, remaining = _friction_segments(task, options, home, rng)
 
-    logged_rows = _logged_rows(task, logged)
+    def spec_of(duration: float) -> PatternSpec:
+        return PatternSpec(task.model, task.limits, home, duration)
+
+    def scale(segment: TrajectorySegment) -> TrajectorySegment:
+        return scale_to_limits(task, segment)
+
+    segments, remaining = friction_segments(options, spec_of, scale, rng)
+
+    logged_rows = logged_rows_of(task, logged)
     logged_information = logged_rows.T @ logged_rows
 
-    repeats = int(np.ceil(remaining / _MAX_DURATION))
-    spec = PatternSpec(
-        model=task.model,
-        limits=task.limits,
-        home=home,
-        duration=remaining / repeats,
-        max_frequency=max(frequency, 2 * repeats / remaining),
-        tip=options.tip,
-    )
+    repeats = int(np.ceil(remaining / MAX_DURATION))
+    spec = replace(spec_of(remaining / repeats), max_frequency=max(frequency, 2 * repeats / remaining), tip=options.tip)
     pattern = PATTERNS[options.pattern](spec)
-    information = logged_information + _information(task, friction_segments)
+    information = logged_information + _information(task, segments)
     rate = max(_SAMPLES_PER_PERIOD * spec.max_frequency, _MIN_COARSE_RATE)
     objective = Objective(task, pattern, information, repeats, rate)
-    first, interrupted = _search(objective, options.iterations, rng, progress)
+    first, interrupted = search(objective, options.iterations, rng, progress)
 
     progress("checking the limits", 0.0)
     best = first if objective.best is None else objective.best
@@ -185,7 +194,7 @@ def design(
     segment = min(
         random_segment, best_segment, key=lambda option: task.criterion.value(objective.information(option.x))
     )
-    trajectory = Trajectory((segment,) * repeats + friction_segments)
+    trajectory = Trajectory((segment,) * repeats + segments)
 
     progress("predicting the standard errors", 0.0)
     logged_errors = None
@@ -200,7 +209,7 @@ def design(
         trajectory=trajectory,
         errors=expected_standard_errors(all_rows / task.scales, task.base),
         logged_errors=logged_errors,
-        criteria={name: _criteria(task, M) for name, M in information_of.items()},
+        criteria={name: criteria_of(task, M) for name, M in information_of.items()},
         utilization=limit_utilization(task, trajectory),
         nearest=nearest_links(task, trajectory),
         max_frequency=spec.max_frequency,
@@ -222,18 +231,18 @@ def with_trajectory(design: Design, config: Config, trajectory: Trajectory, logg
         The trajectory, within all limits.
     """
     task = design.task
-    rows = _all_rows(task, config, trajectory, _logged_rows(task, logged))
+    rows = _all_rows(task, config, trajectory, logged_rows_of(task, logged))
     return replace(
         design,
         trajectory=trajectory,
         errors=expected_standard_errors(rows / task.scales, task.base),
-        criteria={**design.criteria, "design": _criteria(task, rows.T @ rows)},
+        criteria={**design.criteria, "design": criteria_of(task, rows.T @ rows)},
         utilization=limit_utilization(task, trajectory),
         nearest=nearest_links(task, trajectory),
     )
 
 
-def _logged_rows(task: DesignTask, logged: LoggedData | None) -> Array:
+def logged_rows_of(task: DesignTask, logged: LoggedData | None) -> Array:
     """Rows of the data that was logged before, by base parameters in units of their scales; shape (rows, r)."""
     if logged is None:
         return np.zeros((0, len(task.scales)))
@@ -246,7 +255,7 @@ def _all_rows(task: DesignTask, config: Config, trajectory: Trajectory, logged_r
     return np.concatenate([logged_rows, task.columns.rows(reduction, task.noise) * task.scales])
 
 
-def _criteria(task: DesignTask, M: Array) -> dict[str, float]:
+def criteria_of(task: DesignTask, M: Array) -> dict[str, float]:
     """All criteria of an information matrix (r, r)."""
     return {kind: task.criterion.value(M, kind) for kind in CRITERIA}
 
@@ -261,24 +270,38 @@ def _information(task: DesignTask, segments: Sequence[TrajectorySegment]) -> Arr
     return M
 
 
-def max_frequency(task: DesignTask, config: Config) -> float:
+def max_frequency(limits: Limits, rate: float, config: Config) -> float:
     """Highest useful frequency of a motion [Hz].
 
     A joint that moves over its whole range and at its velocity limit meets its acceleration limit at some frequency;
     far above that, it hardly moves. And the filter must let it through.
     """
-    limits = task.limits
     by_velocity = limits.acceleration / limits.velocity
     by_range = np.sqrt(limits.acceleration / limits.half_range)
     corner = np.maximum(by_velocity, by_range) / (2 * np.pi)
-    band = config.filter.cutoff_hz or default_cutoff(1 / task.rate)
+    band = config.filter.cutoff_hz or default_cutoff(1 / rate)
     return float(min(_ABOVE_CORNER * corner.max(), _BELOW_BAND * band))
 
 
-def _friction_segments(
-    task: DesignTask, options: DesignOptions, home: Array, rng: np.random.Generator
+def friction_segments(
+    options: DesignOptions,
+    spec_of: Callable[[float], PatternSpec],
+    scale: Callable[[TrajectorySegment], TrajectorySegment],
+    rng: np.random.Generator,
 ) -> tuple[tuple[TrajectorySegment, ...], float]:
-    """Slow sweeps and standstill, and the duration that remains [s]."""
+    """Slow sweeps and standstill, and the duration that remains [s].
+
+    Parameters
+    ----------
+    options
+        Duration, and the share of it for friction.
+    spec_of
+        Robot, limits and home of a motion of a duration [s].
+    scale
+        Scales a segment to the limits.
+    rng
+        For the speeds and poses.
+    """
     if not 0 <= options.friction_share < 1:
         raise ConfigError("--slow", f"{options.friction_share:g} is not a fraction; give a number from 0 to below 1")
     friction_duration = options.friction_share * options.duration
@@ -290,8 +313,8 @@ def _friction_segments(
     durations = ((SlowSweeps, friction_duration - standstill_duration), (Standstill, standstill_duration))
     for kind, duration in durations:
         if duration >= _MIN_FRICTION_DURATION:
-            pattern = kind(PatternSpec(task.model, task.limits, home, duration))
-            segments.append(scale_to_limits(task, TrajectorySegment(pattern, pattern.draw(rng))))
+            pattern = kind(spec_of(duration))
+            segments.append(scale(TrajectorySegment(pattern, pattern.draw(rng))))
     remaining = options.duration - sum(segment.pattern.duration for segment in segments)
     if remaining < _MIN_DURATION:
         raise ConfigError(
@@ -300,7 +323,29 @@ def _friction_segments(
     return tuple(segments), remaining
 
 
-def _search(objective: Objective, iterations: int, rng: np.random.Generator, progress: Progress) -> tuple[Array, bool]:
+class SearchObjective(Protocol):
+    """What a search minimizes; see `Objective`."""
+
+    pattern: Pattern
+    best: Array | None
+    penalty_weight: float
+
+    def __call__(self, x: Array) -> tuple[float, Array]:
+        """Value, and gradient with respect to x."""
+        ...
+
+    def collision_times(self, x: Array) -> Array:
+        """Times at which links are too near to each other, between the samples of the search [s]."""
+        ...
+
+    def add_clearance_times(self, t: Array) -> None:
+        """Evaluate the clearance at these times [s] too."""
+        ...
+
+
+def search(
+    objective: SearchObjective, iterations: int, rng: np.random.Generator, progress: Progress
+) -> tuple[Array, bool]:
     """Search for the best motion; returns the first one drawn, and True if the search was interrupted."""
     pattern = objective.pattern
     draws = [pattern.draw(rng) for _ in range(pattern.draws)]
@@ -334,7 +379,7 @@ def _search(objective: Objective, iterations: int, rng: np.random.Generator, pro
             _, x = improve(x, max(round(share * iterations), 1))
         for _ in range(_REPAIRS):
             best = x if objective.best is None else objective.best
-            times = collision_times(objective.task, TrajectorySegment(pattern, best))
+            times = objective.collision_times(best)
             if not len(times):
                 break
             stride = max(len(times) // _REPAIR_INSTANTS, 1)

@@ -102,7 +102,7 @@ class Limits:
 
 
 def joint_limits(model: RobotModel, config: Config) -> Limits:
-    """The limits of a model's joints.
+    """The limits of a model's joints; a floating base has none.
 
     Parameters
     ----------
@@ -121,12 +121,13 @@ def joint_limits(model: RobotModel, config: Config) -> Limits:
         if name not in actuated:
             raise ConfigError(f"limits: {name}", f"is not an actuated joint of the URDF; {suggestion(name, actuated)}")
     assumed: dict[str, list[str]] = {}
-    limits = np.empty((5, len(model.joints)))
-    for j, joint in enumerate(model.joints):
+    joints = model.joints[: model.joint_count]
+    limits = np.empty((5, len(joints)))
+    for j, joint in enumerate(joints):
         limits[:, j] = _limits_of_joint(joint, config.limits.get(joint.name, JointLimits()), assumed)
     _tighten_by_mimics(model, limits)
     lower, upper, velocity, acceleration, effort = limits
-    for name, low, high in zip(model.names, lower, upper, strict=True):
+    for name, low, high in zip(model.joint_names, lower, upper, strict=True):
         if not low < high:
             what = f"leaves no range of motion: from {low:g} to {high:g}; widen it, or leave the joint out of joints"
             raise ConfigError(f"limits: {name}", what)
@@ -135,7 +136,7 @@ def joint_limits(model: RobotModel, config: Config) -> Limits:
         Notice("limit_assumed", "warning", None, f"{what}: {join_names(names)}", advice)
         for what, names in assumed.items()
     )
-    return Limits(model.names, lower, upper, velocity, acceleration, effort, notices)
+    return Limits(model.joint_names, lower, upper, velocity, acceleration, effort, notices)
 
 
 def _limits_of_joint(

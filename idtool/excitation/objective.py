@@ -12,11 +12,12 @@ from __future__ import annotations
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.excitation.patterns import MotionSamples, Pattern
+from idtool.excitation.feasibility import collision_times
+from idtool.excitation.patterns import MotionSamples, Pattern, TrajectorySegment
 from idtool.excitation.task import DesignTask
 
 RIDGE = 1e-6  # information that is always added: a standard error of a thousand scales
-_SIGN_WIDTH = 0.02  # of the velocity limit, over which sign(v) is smoothed while searching
+SIGN_WIDTH = 0.02  # of the velocity limit, over which sign(v) is smoothed while searching
 _STEPS = (1e-6, 1e-5, 1.0)  # of the differences by q, v, a; columns are linear in a
 _CLEARANCE_MARGIN = 1.2  # times the wanted clearance: farther pairs have no penalty
 _MIN_CLEARANCE = 1e-3  # m, that is aimed at
@@ -67,7 +68,7 @@ class Objective:
         self.best_score = np.inf
         self.evaluations = 0
         self._other_information = information + RIDGE * np.eye(len(information))
-        self._sign_width = _SIGN_WIDTH * task.limits.velocity
+        self._sign_width = SIGN_WIDTH * task.limits.velocity
         # Factors of each joint's rows, by base parameter: their scales over the noise, times √ of the independent
         # samples per row.
         samples_per_row = task.independent_rate * float(self.t[1] - self.t[0]) * repeats
@@ -99,6 +100,10 @@ class Objective:
         """Information on the base parameters in units of their scales, with the other data's, shape (r, r)."""
         blocks = self.task.blocks(self.pattern.motion(x, self.t), self.t, self._sign_width)
         return self._information(blocks)[0]
+
+    def collision_times(self, x: Array) -> Array:
+        """Times at which links are too near to each other, in the motion scaled to the motion limits [s]."""
+        return collision_times(self.task, TrajectorySegment(self.pattern, x))
 
     def add_clearance_times(self, t: Array) -> None:
         """Evaluate the clearance at these times [s] too, and forget the score of the best motion."""

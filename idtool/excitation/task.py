@@ -27,8 +27,8 @@ from idtool.robot.model import RobotModel
 
 VELOCITY_DEADBAND = 3e-3  # rad/s or m/s: below it, a fit does not rely on the sign of the velocity
 _REST = 3.0  # times that: a slower joint is at rest, and its row is left out
-_NOISE = 0.01  # of the effort limit, or of the largest torque of a random motion
-_TYPICAL_TORQUE = 10.0  # times the noise, of a coefficient whose magnitude is unknown
+NOISE_SHARE = 0.01  # of the effort limit, or of the largest torque of a random motion
+TYPICAL_TORQUE = 10.0  # times the noise, of a coefficient whose magnitude is unknown
 _RANDOM_DURATION = 10.0  # s of a random motion
 
 
@@ -164,12 +164,12 @@ def make_design_task(
         noise=sigma,
         noise_assumed=assumed,
         rate=rate,
-        independent_rate=_independent_rate(config, rate),
+        independent_rate=independent_rate(config, rate),
         criterion=DesignCriterion(criterion, favoured_indices(favour, base, equation)),
     )
 
 
-def _independent_rate(config: Config, rate: float) -> float:
+def independent_rate(config: Config, rate: float) -> float:
     """Independent samples per second in the band of the log to come [Hz]."""
     band = config.filter.cutoff_hz or default_cutoff(1 / rate)
     if band >= 0.45 * rate:
@@ -193,11 +193,11 @@ def _scales(
     largest = np.abs(equation.torque(motion, equation.prior)).max(axis=1)
     largest = np.where(largest > 0, largest, 1.0)
     full_torque = np.where(np.isfinite(limits.effort), limits.effort, largest)
-    noise = np.array([given.get(name, _NOISE * tau) for name, tau in zip(model.names, full_torque, strict=True)])
+    noise = np.array([given.get(name, NOISE_SHARE * tau) for name, tau in zip(model.names, full_torque, strict=True)])
     typical = np.zeros(len(equation.prior))
     for active, block, sigma in zip(equation.active(), equation.columns(motion), noise, strict=True):
         rms = np.sqrt(np.square(block[:-1]).mean(axis=1))
-        magnitude = np.divide(_TYPICAL_TORQUE * sigma, rms, where=rms > 0, out=0 * rms)
+        magnitude = np.divide(TYPICAL_TORQUE * sigma, rms, where=rms > 0, out=0 * rms)
         typical[active] = np.maximum(typical[active], magnitude)
     assumed = [f"{name} {x:.3g}" for name, x in zip(model.names, noise, strict=True) if name not in given]
     return noise, np.where(typical > 0, typical, 1.0), tuple(assumed)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
@@ -17,6 +16,8 @@ from idtool.excitation.deciding import Decision, Separation
 from idtool.excitation.design import Design
 from idtool.excitation.explanations import Explanation
 from idtool.excitation.limits import QUANTITIES
+from idtool.excitation.standing.design import StandingDesign
+from idtool.excitation.standing.kinematics import BASE_MOTION
 from idtool.excitation.task import DesignTask
 from idtool.reporting.fit_report import parameter_units
 from idtool.reporting.results.base import notice_fields, provenance_fields
@@ -31,11 +32,13 @@ from idtool.reporting.results.excitation import (
     ExpectedTerm,
     ExplanationEffect,
     ExplanationReport,
+    FootLoadReport,
     JointCurves,
     JointLimitsReport,
     LimitUtilization,
     MotionPart,
     SeparationReport,
+    StandingReport,
 )
 from idtool.reporting.uncertainty_report import coefficient_name, combination_name, terms_report
 from idtool.robot.inertia import PI_SIZE
@@ -83,14 +86,14 @@ def excitation_report(
         logs=logs,
         seed=seed,
         samples=math.floor(trajectory.duration * task.rate + 1e-9) + 1,
-        joints=task.model.names,
+        joints=task.model.joint_names,
         units=task.model.units,
         duration=trajectory.duration,
         rate_hz=task.rate,
         highest_hz=design.max_frequency,
         parts=[MotionPart(pattern=part.pattern.name, start=start, end=end) for part, start, end in parts],
-        home=_by_joint(task, trajectory.segments[0].pattern.home),
-        noise=_by_joint(task, task.noise),
+        home=dict(zip(task.model.joint_names, trajectory.home.tolist(), strict=True)),
+        noise=dict(zip(task.model.names, task.noise.tolist(), strict=True)),
         criterion=task.criterion.kind,
         criteria={
             name: Criteria(**{kind: _finite_or_none(value) for kind, value in values.items()})
@@ -99,12 +102,13 @@ def excitation_report(
         base_parameters=_base_parameters(design),
         bodies=_bodies(design),
         terms=_terms(design),
-        limits={joint: _limits(task, j) for j, joint in enumerate(task.model.names)},
+        limits={joint: _limits(task, j) for j, joint in enumerate(task.model.joint_names)},
         use={
             joint: LimitUtilization(**dict(zip(QUANTITIES, design.utilization[:, j].tolist(), strict=True)))
-            for j, joint in enumerate(task.model.names)
+            for j, joint in enumerate(task.model.joint_names)
         },
         clearance=_clearance(design),
+        standing=_standing(design) if isinstance(design, StandingDesign) else None,
         decide=None if decision is None else _decision(decision, task),
         evaluations=design.evaluations,
         interrupted=design.interrupted,
@@ -115,10 +119,6 @@ def excitation_report(
 
 def _finite_or_none(x: float) -> float | None:
     return float(x) if math.isfinite(x) else None
-
-
-def _by_joint(task: DesignTask, values: Array) -> dict[str, float]:
-    return dict(zip(task.model.names, values.tolist(), strict=True))
 
 
 def _base_parameters(design: Design) -> list[ExpectedParameter]:
@@ -186,6 +186,28 @@ def _clearance(design: Design) -> Clearance | None:
     return Clearance(links=links, distance=_finite_or_none(distance), t=t, wanted=design.task.clearance)
 
 
+def _standing(design: StandingDesign) -> StandingReport:
+    ground = design.ground
+    feet = {}
+    for foot, friction, force, pressure in zip(
+        ground.feet, ground.friction, ground.lowest_load, ground.pressure, strict=True
+    ):
+        feet[foot.name] = FootLoadReport(
+            friction_coefficient=float(friction),
+            min_force=float(force),
+            pressure=None if foot.sole is None else float(pressure),
+        )
+    shares = ground.limit_shares
+    tightest = max(shares, key=lambda name: shares[name])
+    return StandingReport(
+        friction_coefficient=ground.friction_coefficient,
+        feet=feet,
+        base=dict(zip(BASE_MOTION, ground.base.T.tolist(), strict=True)),
+        tightest=tightest,
+        tightest_use=shares[tightest],
+    )
+
+
 def _decision(decision: Decision, task: DesignTask) -> DecisionReport:
     best = _separation(decision.design, task)
     return DecisionReport(
@@ -229,11 +251,9 @@ def _curves(design: Design) -> ExcitationCurves:
     """The motion and its predicted torque at a few instants."""
     task, trajectory = design.task, design.trajectory
     t = np.linspace(0, trajectory.duration, _CURVE_POINTS)
-    samples = trajectory.motion(t)
-    q, v, a = samples
-    tau = task.torque(samples, t)
+    (q, v, a), tau = design.curves(t)
     joints = {}
-    for j, joint in enumerate(task.model.names):
+    for j, joint in enumerate(task.model.joint_names):
         joints[joint] = JointCurves(q=q[j].tolist(), v=v[j].tolist(), a=a[j].tolist(), tau=tau[j].tolist())
     return ExcitationCurves(t=t.tolist(), joints=joints)
 
@@ -257,6 +277,8 @@ def _notices(design: Design) -> list[Notice]:
     if undetermined:
         message = f"this trajectory hardly determines these parameters: {join_names(undetermined)}"
         advice = "make the trajectory longer, or choose another pattern"
+        if isinstance(design, StandingDesign):
+            advice = "fit its log together with logs of other motions, such as hanging and walking; --log takes them"
         notices.append(Notice("parameters_not_excited", "warning", None, message, advice))
     if design.interrupted:
         message = "the search was interrupted: this is the best trajectory so far"

@@ -39,6 +39,11 @@ class Trajectory:
     segments: tuple[TrajectorySegment, ...]
 
     @property
+    def home(self) -> Array:
+        """Pose of the joints at start and end, shape (nv,) [rad or m]."""
+        return self.segments[0].pattern.home
+
+    @property
     def duration(self) -> float:
         """Duration of all segments [s]."""
         return sum(segment.pattern.duration for segment in self.segments)

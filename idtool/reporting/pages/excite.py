@@ -7,13 +7,20 @@ from pathlib import Path
 from idtool.reporting.pages.base import render
 from idtool.reporting.plots.trajectory import trajectory_figures
 from idtool.reporting.results.excitation import ExcitationReport
-from idtool.reporting.sections.excite import CriteriaSection, DecisionSection, ExpectedErrorsSection, LimitsSection
+from idtool.reporting.sections.excite import (
+    CriteriaSection,
+    DecisionSection,
+    ExpectedErrorsSection,
+    GroundSection,
+    LimitsSection,
+)
 
 _SECTIONS = (
     ("Findings", "excite_findings.html"),
     DecisionSection(),
     ("Trajectory", "excite_trajectory.html"),
     LimitsSection(),
+    GroundSection(),
     ExpectedErrorsSection(),
     CriteriaSection(),
     ("Origin of this report", "origin.html"),

@@ -8,6 +8,7 @@ from idtool.reporting.results.base import (
     ByJoint,
     ByParameter,
     CombinationTerm,
+    Interval,
     Keys,
     ReadOnly,
     Record,
@@ -91,6 +92,29 @@ class Clearance(Record):
     wanted: float = field("Requested distance [m].")
 
 
+class FootLoadReport(Record):
+    """Loads of a foot that stays on the ground, at their worst."""
+
+    friction_coefficient: float = field("Largest friction coefficient that the foot needs.")
+    min_force: float = field("Smallest force across the ground [N].")
+    pressure: float | None = field(
+        "Largest distance of the centre of pressure from the middle of the sole, as a fraction of half its size; null "
+        "for a point."
+    )
+
+
+class StandingReport(Record):
+    """The ground and the base, for a robot that stands."""
+
+    friction_coefficient: float = field("Friction coefficient of the ground, given by `--friction-coefficient`.")
+    feet: Annotated[ReadOnly[FootLoadReport], Keys("contact")] = field("Loads of the feet.")
+    base: Annotated[ReadOnly[Interval], Keys("direction")] = field(
+        "Smallest and largest displacement [m] and rotation [rad] of the base from the stance."
+    )
+    tightest: str = field("The limit of which the motion uses the largest fraction, with the margins of the design.")
+    tightest_use: float = field("This fraction.")
+
+
 class ExplanationEffect(Record):
     """An effect with the parameters for which the trajectory was designed."""
 
@@ -171,6 +195,7 @@ class ExcitationReport(ReproducibleResult):
     limits: Annotated[ReadOnly[JointLimitsReport], Keys("joint")] = field("Limits of the joints.")
     use: Annotated[ReadOnly[LimitUtilization], Keys("joint")] = field("Fraction of the limits that the motion uses.")
     clearance: Clearance | None = field("Closest pair of links; null without geometry.")
+    standing: StandingReport | None = field("The ground and the base with `--stand`; null without it.")
     decide: DecisionReport | None = field(
         "How well the trajectory, with the logs of `--log`, distinguishes two explanations; null without `--decide`."
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from typing_extensions import override
 
 from idtool.common.units import units_text
@@ -84,6 +86,49 @@ class LimitsSection(Section[ExcitationReport]):
             "The limits are those of the URDF, tightened by the configuration. For the position, 100 % is half the "
             "range, measured from its middle."
         )
+
+
+class GroundSection(Section[ExcitationReport]):
+    """Loads of the feet that stay on the ground."""
+
+    title = "Feet on the ground"
+
+    @override
+    def table(self, report: ExcitationReport) -> Table | None:
+        standing = report.standing
+        if standing is None:
+            return None
+        columns = [
+            name_column("foot"),
+            Column("friction needed", help="Largest friction coefficient that the foot needs"),
+            Column("least force", "N", help="Smallest force across the ground"),
+            Column("centre of pressure", help="Largest distance from the middle of the sole; 100 %: at its edge"),
+        ]
+        rows = []
+        for name, foot in standing.feet.items():
+            row = [Cell(name), number_cell(foot.friction_coefficient, 3), number_cell(foot.min_force, 3)]
+            rows.append([*row, percent_cell(foot.pressure)])
+        return Table("Feet on the ground", columns, rows)
+
+    @override
+    def text(self, report: ExcitationReport) -> str:
+        return ground_sentence(report)
+
+
+def ground_sentence(report: ExcitationReport) -> str:
+    """Sentence on the tightest limit of a standing robot, and how far the base moves; empty for other robots."""
+    standing = report.standing
+    if standing is None:
+        return ""
+    largest = {name: max(abs(end) for end in interval) for name, interval in standing.base.items()}
+    shift = max(largest[f"base_{axis}"] for axis in "xyz")
+    turn = max(largest[f"base_{axis}"] for axis in ("roll", "pitch", "yaw"))
+    use = percent_cell(standing.tightest_use).text
+    return (
+        f"tightest limit: {standing.tightest} ({use}, with all margins and a friction coefficient of "
+        f"{standing.friction_coefficient:g}); the base moves by up to {100 * shift:.2g} cm and turns by up to "
+        f"{math.degrees(turn):.2g}° from the stance"
+    )
 
 
 class CriteriaSection(Section[ExcitationReport]):

@@ -10,15 +10,20 @@ from idtool.reporting.sections.excite import (
     CriteriaSection,
     DecisionSection,
     ExpectedErrorsSection,
+    GroundSection,
     LimitsSection,
     decision_sentence,
+    ground_sentence,
 )
 from idtool.reporting.terminal.base import Terminal
 
 
 def show_excitation(terminal: Terminal, report: ExcitationReport) -> None:
     """The errors to expect, the limits, and where the files are."""
-    terminal.sections([ExpectedErrorsSection(), LimitsSection(), CriteriaSection(), DecisionSection()], report)
+    sections = [ExpectedErrorsSection(), LimitsSection(), GroundSection(), CriteriaSection(), DecisionSection()]
+    terminal.sections(sections, report)
+    if report.standing is not None:
+        terminal.say(ground_sentence(report))
     if report.decide is not None:
         for explanation in (report.decide.a, report.decide.b):
             terminal.say(f"{explanation.name}: {_parameters(explanation)} ({explanation.source})")

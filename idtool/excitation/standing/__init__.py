@@ -1,0 +1,1 @@
+"""Exciting trajectories of a robot whose feet stay on the ground."""
