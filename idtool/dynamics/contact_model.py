@@ -225,7 +225,7 @@ class ContactModel:
                 first += 3 if contact.kind == "point" else 6
             if not contact.is_compliant:
                 continue
-            up = rotate(self._base_to_body(motions, body), self._up_in_base(contact_samples))
+            up = self._up_in_body(body, motions, contact_samples)
             load = np.clip(np.einsum("in,in->n", up, force), 0.0, max_load)
             tangential = force - load * up
             moment = load * cross(up, tangential)
@@ -250,13 +250,21 @@ class ContactModel:
         in_link = np.asarray(contact.point)
         point = (link_frame.p + link_frame.R @ in_link)[:, None]
         if contact.radius:  # a ball touches level ground a radius below its centre
-            up = rotate(self._base_to_body(motions, link_frame.body), self._up_in_base(contact_samples))
+            up = self._up_in_body(link_frame.body, motions, contact_samples)
             point = point - (contact.radius + contact_samples.radius_change) * up
         by_rotation = cross(body_jacobian.S_w, point[:, None])
         J_linear = body_jacobian.S_v + by_rotation
         coordinates, count = body_jacobian.S_w.shape[1], contact_samples.is_closed.shape[1]
         shape = (3, coordinates, count)  # a Jacobian that does not depend on q has one sample
         return np.broadcast_to(J_linear, shape), np.broadcast_to(body_jacobian.S_w, shape)
+
+    def up_of(self, contact: Contact, motion: Motion) -> Array:
+        """The vertical along the axes of the body that a contact acts on, shape (3, N) or (3, 1)."""
+        return self._up_in_body(self.model.frames[contact.link].body, self._body_motions(motion), contacts_of(motion))
+
+    def _up_in_body(self, body: int, motions: Sequence[BodyMotion], contact_samples: ContactSamples) -> Array:
+        """The vertical along the axes of a body, shape (3, N) or (3, 1)."""
+        return rotate(self._base_to_body(motions, body), self._up_in_base(contact_samples))
 
     def _up_in_base(self, contact_samples: ContactSamples) -> Array:
         """The vertical along the axes of the base, shape (3, N) or (3, 1)."""

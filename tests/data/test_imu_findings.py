@@ -89,3 +89,17 @@ def test_orientation_of_another_kind_is_named(recording: Recording) -> None:
 
     (notice, *_) = imu_findings(log_of({**columns, "imu_qw": -true["w"], "imu_qy": true["y"] + 1.0}))
     assert notice.code == "imu_orientation"
+
+
+def test_reverse_orientation_about_the_vertical_is_named(recording: Recording) -> None:
+    """Gravity does not tell it: the robot turns about the vertical alone."""
+    columns = dict(recording.columns)
+    t = columns["t"]
+    yaw = 0.5 * np.sin(2 * np.pi * 0.4 * t)
+    columns |= {"imu_wx": 0 * t, "imu_wy": 0 * t, "imu_wz": np.gradient(yaw, t)}
+    columns |= {"imu_ax": 0.01 * np.sin(t), "imu_ay": 0.01 * np.cos(t), "imu_az": 9.81 + 0 * t}
+    columns |= {"imu_qx": 0 * t, "imu_qy": 0 * t, "imu_qz": np.sin(yaw / 2), "imu_qw": np.cos(yaw / 2)}
+    assert not list(imu_findings(log_of(columns)))
+    (notice,) = imu_findings(log_of({**columns, "imu_qz": -columns["imu_qz"]}))
+    assert notice.code == "imu_orientation"
+    assert "from world to link" in notice.message

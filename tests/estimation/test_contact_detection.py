@@ -102,3 +102,21 @@ def test_leg_without_torque_tells_nothing_of_its_foot(tmp_path: Path, walk: Reco
     )
     with pytest.raises(LogError, match=needed):
         detected(tmp_path, walk, "auto", **no_torque)
+
+
+@pytest.mark.parametrize(
+    ("scale", "code"), [(1.0, None), (-1.0, "torque_sign"), (1 / 6.33, "torque_scale"), (6.33, "torque_scale")]
+)
+@pytest.mark.parametrize("flag", [None, "auto"])
+def test_torque_by_which_the_feet_do_not_carry_the_robot_is_named(
+    tmp_path: Path, walk: Recording, flag: str | None, scale: float, code: str | None
+) -> None:
+    torques = {f"tau_{joint}": scale * walk.columns[f"tau_{joint}"] for joint in JOINTS}
+    log = detected(tmp_path, walk, flag, **torques)
+    codes = [notice.code for notice in log.notices if notice.code.startswith("torque_s")]
+    assert codes == ([code] if code else [])
+
+
+def test_hanging_robot_has_no_fault_of_its_torque(tmp_path: Path, hang: Recording) -> None:
+    log = detected(tmp_path, hang, "auto")
+    assert not [notice for notice in log.notices if notice.code.startswith("torque_s")]

@@ -25,6 +25,7 @@ _WITHOUT_GRAVITY = 0.5  # of gravity, below which the mean acceleration has none
 _TOLERANCE = 0.15  # of gravity, by which the mean acceleration may differ
 _MAX_ANGLE = np.deg2rad(12)  # between gravity and the vertical
 _DEGREES = np.rad2deg(1.0)
+_OTHER_RATE, _SAME_RATE = 0.3, 0.7  # correlation of angular velocities that are not, or are, the same
 _MAX_UNIT_ERROR = 1.5  # ratio of an angular velocity to that of the orientation, or the reverse
 
 
@@ -104,17 +105,23 @@ def _angle_to_vertical(quaternions: Array, mean: Array) -> float:
 
 
 def _rate_findings(quaternions: Array, rates: Array, dt: float) -> Iterator[Notice]:
-    """Notice if the angular velocity, shape (3, N), differs in size from that of the orientation, shape (4, N)."""
+    """Notice if the angular velocity, shape (3, N), differs from that of the orientation, shape (4, N)."""
     rotations = Rotation.from_quat(quaternions.T)
     step = max(round(0.05 / dt), 1)
     if len(rotations) <= 2 * step:
         return
-    change = (rotations[:-step].inv() * rotations[step:]).as_rotvec().T / (step * dt)
+    change = _rates_of(rotations, step, dt)
     measured = uniform_filter1d(rates, step, axis=1)[:, step // 2 : step // 2 + change.shape[1]]
     if np.square(change).mean() < np.square(np.deg2rad(1.0)):  # it hardly turns
         return
     ratio = float(np.sqrt(np.square(measured).mean() / np.square(change).mean()))
     if 1 / _MAX_UNIT_ERROR < ratio < _MAX_UNIT_ERROR:
+        reverse = _rates_of(rotations.inv(), step, dt)
+        if _correlation(measured, change) < _OTHER_RATE and _correlation(measured, reverse) > _SAME_RATE:
+            message = "by the angular velocity, its orientation seems to be the rotation from world to link"
+            yield Notice(
+                "imu_orientation", "problem", "imu", message, "log the orientation of the IMU, from link to world"
+            )
         return
     message = f"the angular velocity is {ratio:.3g} times the rate at which its orientation changes"
     advice = "check its unit"
@@ -122,3 +129,15 @@ def _rate_findings(quaternions: Array, rates: Array, dt: float) -> Iterator[Noti
         message = f"{message}: it is in degrees per second, not in rad/s"
         advice = "convert it when you log it"
     yield Notice("imu_unit", "problem", "imu", message, advice)
+
+
+def _rates_of(rotations: Rotation, step: int, dt: float) -> Array:
+    """Mean angular velocity over ``step`` samples, along the axes of the turning frame, shape (3, N − step) [rad/s]."""
+    change = rotations[:-step].inv() * rotations[step:]
+    return np.asarray(change.as_rotvec().T / (step * dt))
+
+
+def _correlation(first: Array, second: Array) -> float:
+    """Correlation of two angular velocities, shape (3, N), about 0."""
+    size = np.linalg.norm(first) * np.linalg.norm(second)
+    return float((first * second).sum() / size) if size else 0.0

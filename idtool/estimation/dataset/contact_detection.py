@@ -34,6 +34,9 @@ _MAX_UNFLAGGED_SHARE = 0.02  # of the time, for such a load
 _MAX_UNLOADED_SHARE = 0.3  # of the time, for a flag that is always set while the leg carries no load
 _MIN_ALWAYS_SHARE = 0.98  # of the time, from which a flag is always set
 _MIN_LEG_JOINTS = 3  # that determine the force on a foot
+_MIN_CARRIED, _MAX_CARRIED = 0.5, 2.0  # of the weight, by the torque: beyond what wrong masses in a URDF account for
+_NO_LOAD = 0.1  # of the weight: the robot hangs from something that the configuration does not know
+_MIN_SUPPORTED_SAMPLES = 40
 _GRAVITY = 9.81  # m/s²
 _MIN_GRAM = 1e-9  # m², added to J Jᵀ, which is singular for a straight leg
 _MIN_SINGULAR_RATIO = 0.15  # smallest over largest singular value of J, from which the torque tells the force
@@ -51,6 +54,8 @@ class FootLoads:
         Times by the log's stamps [s], shape (N,).
     load
         Force over weight, shape (feet, N).
+    vertical_load
+        Its upward part, shape (feet, N).
     is_reliable
         True where the leg's posture lets its torque tell the force, shape (feet, N).
     """
@@ -58,6 +63,7 @@ class FootLoads:
     feet: tuple[Contact, ...]
     t: Array
     load: Array
+    vertical_load: Array
     is_reliable: Mask
 
 
@@ -95,11 +101,41 @@ def with_detected_contacts(log: JointLog, model: RobotModel, config: Config) -> 
         notice = _flag_notice(foot, log.channels[str(foot.flag_channel)], found.t, load, is_reliable)
         if notice is not None:
             notices.append(notice)
+    torque_notice = _torque_notice(found, log, model, config)
+    if torque_notice is not None:
+        notices.append(torque_notice)
     if shares:
         message = f"contacts were detected by the torque of the legs; they are closed {join_names(shares)} of the time"
         advice = "log the contact flags or the foot forces if the robot has them"
         notices.append(Notice("contacts_detected", "note", None, message, advice))
     return replace(log, channels=channels, notices=(*log.notices, *notices))
+
+
+def _torque_notice(loads: FootLoads, log: JointLog, model: RobotModel, config: Config) -> Notice | None:
+    """Notice about torques of the wrong sign or scale, by which the feet do not carry the robot's weight; else None.
+
+    While nothing else holds it, the feet carry the weight on average.
+    """
+    others = [contact for contact in config.contacts if contact not in loads.feet]
+    if any(contact.flag_channel is None for contact in others):  # it may act at any time
+        return None
+    is_supported = loads.is_reliable.all(axis=0)
+    for contact in others:
+        is_supported &= ~log.channels[str(contact.flag_channel)].is_set(loads.t, contact.widen)
+    for foot in loads.feet:
+        if not foot.has_automatic_flag and not log.channels[str(foot.flag_channel)].is_set(loads.t).any():
+            return None
+    if is_supported.sum() < _MIN_SUPPORTED_SAMPLES:
+        return None
+    carried = float(loads.vertical_load[:, is_supported].sum(axis=0).mean())
+    if carried < -_MIN_CARRIED:
+        what = f"by the torque of the legs, the feet pull at the ground with {-carried:.2g} times the robot's weight"
+        return Notice("torque_sign", "problem", "tau", what, "reverse the sign of the torque (log.scale)")
+    if _MIN_CARRIED <= carried <= _MAX_CARRIED or abs(carried) <= _NO_LOAD:
+        return None
+    what = f"by the torque of the legs, the feet carry {carried:.2g} times the robot's weight"
+    advice = "check the scale of the torque (log.scale: N·m at the joint output per logged unit) and the URDF's masses"
+    return Notice("torque_scale", "warning", "tau", what, advice)
 
 
 def _torque_is_known(foot: Contact, log: JointLog, model: RobotModel) -> bool:
@@ -145,21 +181,35 @@ def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[
     contact_model = ContactModel(model, always_unknown, noise=np.ones(len(model.joints)))
     times = []
     forces = []
+    vertical_forces = []
     is_reliable = []
     for batch in signals.batches():
-        force, is_reliable_force = _foot_forces(batch, model, contact_model)
+        force, vertical_force, is_reliable_force = _foot_forces(batch, model, contact_model)
         times.append(log.start + batch.t)
         forces.append(force)
+        vertical_forces.append(vertical_force)
         is_reliable.append(is_reliable_force)
     if not times:  # too short for the filter, which the fit says; then all feet count as loaded
         shape = (len(feet), 1)
-        return FootLoads(tuple(feet), np.array([log.start]), np.ones(shape), np.zeros(shape, dtype=bool))
-    load = np.concatenate(forces, axis=1) / (_GRAVITY * model.mass)
-    return FootLoads(tuple(feet), np.concatenate(times), load, np.concatenate(is_reliable, axis=1))
+        ones = np.ones(shape)
+        return FootLoads(tuple(feet), np.array([log.start]), ones, ones, np.zeros(shape, dtype=bool))
+    weight = _GRAVITY * model.mass
+    return FootLoads(
+        feet=tuple(feet),
+        t=np.concatenate(times),
+        load=np.concatenate(forces, axis=1) / weight,
+        vertical_load=np.concatenate(vertical_forces, axis=1) / weight,
+        is_reliable=np.concatenate(is_reliable, axis=1),
+    )
 
 
-def _foot_forces(batch: Batch, model: RobotModel, contact_model: ContactModel) -> tuple[Array, Mask]:
-    """Size of the force on each foot at a batch's filtered samples [N], and where it is reliable; shape (feet, n)."""
+def _foot_forces(batch: Batch, model: RobotModel, contact_model: ContactModel) -> tuple[Array, Array, Mask]:
+    """Forces on the feet at a batch's filtered samples by the torque of their legs.
+
+    Returns
+    -------
+    Their sizes, their upward parts [N], and where they are reliable; shape (feet, n) each.
+    """
     motion = batch.motion
     pi = np.stack([body.pi for body in model.bodies])
     by_urdf = inverse_dynamics(model, pi, motion.q, motion.v, motion.a)
@@ -168,16 +218,19 @@ def _foot_forces(batch: Batch, model: RobotModel, contact_model: ContactModel) -
     directions = batch.at_filtered_samples(contact_model.unknown_directions(motion))
     by_joints = directions[:, : model.joint_count]
     forces = []
+    vertical_forces = []
     is_reliable = []
-    for foot in range(len(contact_model.contacts)):
+    for foot, contact in enumerate(contact_model.contacts):
         components = slice(3 * foot, 3 * foot + 3)
         J = np.moveaxis(by_joints[components], -1, 0)  # (n, 3, joints)
         gram = J @ J.transpose(0, 2, 1)
         smallest, _, largest = np.linalg.eigvalsh(gram).T  # squares of the singular values of J
         is_reliable.append(smallest > _MIN_SINGULAR_RATIO**2 * largest)
-        force = np.linalg.solve(gram + _MIN_GRAM * np.eye(3), J @ unexplained_columns)[:, :, 0]
+        force = -np.linalg.solve(gram + _MIN_GRAM * np.eye(3), J @ unexplained_columns)[:, :, 0]
         forces.append(np.linalg.norm(force, axis=1))
-    return np.array(forces), np.array(is_reliable)
+        up = np.broadcast_to(contact_model.up_of(contact, motion), (3, len(motion.t)))
+        vertical_forces.append(np.einsum("ni,in->n", force, batch.at_filtered_samples(up)))
+    return np.array(forces), np.array(vertical_forces), np.array(is_reliable)
 
 
 def _flag_notice(foot: Contact, flag: Channel, t: Array, load: Array, is_reliable: Mask) -> Notice | None:
