@@ -352,7 +352,7 @@ class WholeRobotReport(Record):
 
 
 class FootComplianceReport(Record):
-    """How far the balls of the feet give way under load, the same for all."""
+    """Compliance of the balls of the feet, the same for all."""
 
     value: float = field("Compliance, the inverse of the stiffness [m/N].")
     standard_error: float | None = field("Its standard error [m/N]; null if the data do not determine it.")
