@@ -38,6 +38,8 @@ _RIDGE = 1e-11
 _MIN_WEIGHT_SHARE = 0.02  # of the robot's weight: a smaller measured force is noise
 _MIN_ARM = 0.1  # m, at which such a force makes the smallest moment that is more than noise
 _GRAVITY = 9.81  # m/s²
+_MAX_FRICTION = 2.0  # coefficient of friction; where a leg is straight, its torque does not tell the force
+_MIN_FORCE = 1e-9  # N
 
 
 @dataclass(frozen=True)
@@ -226,8 +228,9 @@ class ContactModel:
             if not contact.is_compliant:
                 continue
             up = self._up_in_body(body, motions, contact_samples)
-            load = np.clip(np.einsum("in,in->n", up, force), 0.0, max_load)
-            tangential = force - load * up
+            normal = np.einsum("in,in->n", up, force)
+            load = np.clip(normal, 0.0, max_load)
+            tangential = _within_friction_cone(force - normal * up, load)
             moment = load * cross(up, tangential)
             J_angular = jacobians[body].S_w
             torque[jacobians[body].coordinates] += np.einsum("icn,in->cn", J_angular, moment)
@@ -290,6 +293,13 @@ class ContactModel:
             base_to_body = np.einsum("ij...,jk...->ik...", base_to_body, motions[body].R)
             body = self.model.bodies[body].mount.body
         return base_to_body
+
+
+def _within_friction_cone(tangential: Array, load: Array) -> Array:
+    """Tangential force, shape (3, N), shortened to what friction transmits under a load, shape (N,) [N]."""
+    size = np.linalg.norm(tangential, axis=0)
+    share = _MAX_FRICTION * load / np.maximum(size, _MIN_FORCE)
+    return np.asarray(tangential * np.minimum(share, 1.0))
 
 
 def _gram(unit: Array) -> Array:

@@ -34,7 +34,7 @@ def compliance_column(model: RobotModel, config: Config, motion: Motion) -> Arra
 def foot_forces(rng: Generator, count: int) -> Array:
     """Forces on the feet along the world's axes, upward on the whole, shape (4, 3, N) [N]."""
     forces = rng.normal(scale=20.0, size=(4, 3, count))
-    forces[:, 2] = np.abs(forces[:, 2]) + 10.0
+    forces[:, 2] = np.abs(forces[:, 2]) + 60.0  # within the cone of any friction
     return forces
 
 
