@@ -19,6 +19,7 @@ from idtool.common.units import units_text
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
 from idtool.estimation.evaluation.torque_errors import Evaluation, evaluate
+from idtool.estimation.offset_notices import held_out_offset_notices
 from idtool.reporting.fit_report import validation_report
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.validation import ValidationReport
@@ -214,7 +215,7 @@ def validate_experiment(
     if simulate:
         rollouts = evaluate_rollouts(experiment, models, held_out=True, progress=progress)
     simulation = simulation_report(rollouts, "model", experiment)
-    notices = [*experiment.notices, *simulation_notices(rollouts, "model")]
+    notices = [*experiment.notices, *held_out_offset_notices(evaluation), *simulation_notices(rollouts, "model")]
     model = experiment.model
     report = validation_report(
         evaluation, model.units, experiment.band_hz, bounds, simulation, sources, notices, model.row_kinds

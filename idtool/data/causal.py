@@ -157,6 +157,7 @@ class _MotionReader:
             velocity_deadband=self._signals.velocity_deadband,
             dt=dt,
             log=self._signals.log.path.name,
+            recording=self._signals.recording,
             unknown_torque=self._signals.unknown_torque,
         )
         return self._with_sensors(motion, part)

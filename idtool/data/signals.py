@@ -69,6 +69,8 @@ class Motion:
         Columns along these q, v and a that are kept for other models; None: none are.
     log
         File name of the log; empty: the motion is of no log.
+    recording
+        Name of the log that no other log of an experiment has; empty: the motion is of no log.
     contacts
         Contacts; None: the base is fixed, and there are none.
     unknown_torque
@@ -87,6 +89,7 @@ class Motion:
     delayed_torques: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     kept_columns: KeptColumns | None = None
     log: str = ""
+    recording: str = ""
     contacts: ContactSamples | None = None
     unknown_torque: tuple[int, ...] = ()
 
@@ -158,6 +161,8 @@ class Signals:
         Contacts; None: the base is fixed, and there are none.
     unknown_torque
         Joints whose torque was not logged.
+    recording
+        Name of the log that no other log of an experiment has.
 
     Parameters
     ----------
@@ -173,6 +178,8 @@ class Signals:
         Sensors of wrenches, whose coordinates come after the joints; None: there are none.
     contact_channels
         Contacts; None: the base is fixed, and there are none.
+    recording
+        Name of the log that no other log of an experiment has; empty: its file name.
 
     Raises
     ------
@@ -190,8 +197,10 @@ class Signals:
         base_sensors: BaseSensors | None = None,
         wrench_channels: WrenchChannels | None = None,
         contact_channels: ContactChannels | None = None,
+        recording: str = "",
     ) -> None:
         self.log = log
+        self.recording = recording or log.path.name
         self.base_sensors = base_sensors
         self.wrench_channels = wrench_channels
         self.contact_channels = contact_channels
@@ -369,6 +378,7 @@ class Signals:
             dt=self.log.dt,
             delayed_torques=delayed_torques,
             log=self.log.path.name,
+            recording=self.recording,
             unknown_torque=self.unknown_torque,
         )
         if self.wrench_channels is None and self.base_sensors is None and self.contact_channels is None:

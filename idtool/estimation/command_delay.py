@@ -185,7 +185,7 @@ def _with_known_delay(run: Run, config: Config, delay: float) -> Run:
     held_out = tuple(run.signals.delayed_ranges(delay, run.held_out))
     before = run.signals
     sensors = (before.base_sensors, before.wrench_channels, before.contact_channels)
-    signals = Signals(before.log, before.joints, config, *sensors)
+    signals = Signals(before.log, before.joints, config, *sensors, before.recording)
     return Run(signals, train, held_out)
 
 

@@ -14,9 +14,11 @@ from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_ro
 from idtool.estimation.evaluation.torque_errors import Evaluation, evaluate
 from idtool.estimation.fit_notices import fit_notices
 from idtool.estimation.identification import Method, estimate_from_logs
+from idtool.estimation.offset_notices import held_out_offset_notices, offset_notices
 from idtool.estimation.problem.estimate import Estimate
 from idtool.estimation.problem.regularization_path import RegularizationPath
 from idtool.estimation.row_noise import with_row_noise
+from idtool.estimation.sensor_drift import with_sensor_drift
 from idtool.estimation.uncertainty import UncertaintyAnalysis, uncertainty_analysis
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
 from idtool.robot.config import EffectEntry, Regularization
@@ -136,6 +138,7 @@ def fit(
     experiment, delay, data = with_delay(experiment, progress)
     if experiment.equation.contacts is not None:
         experiment, data = with_row_noise(experiment, progress)
+    experiment, data = with_sensor_drift(experiment, progress, data)
     if delay is None and analyze_uncertainty:
         delay = command_delay(experiment, progress)
     clock.stop("delay")
@@ -171,6 +174,8 @@ def fit(
         experiment, identification, train.independent_samples, progress, analyze_uncertainty, delay_error
     )
     notices += analysis.notices
+    notices += offset_notices(experiment, estimate.theta, analysis.uncertainty)
+    notices += held_out_offset_notices(validation)
     clock.stop("uncertainty")
 
     fitted = Fit(

@@ -14,6 +14,7 @@ from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.dynamics.effects import NamedEffect, config_parameters, effect_from_entry, foot_compliance, friction_types
 from idtool.estimation.dataset.equality_constraints import Constraint
+from idtool.estimation.dataset.sensor_offsets import has_offset, offset_rows
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
@@ -30,6 +31,7 @@ from idtool.reporting.results.fit import (
     FrictionIntervals,
     FrictionReport,
     KnownValue,
+    OffsetInLog,
     PathPointReport,
     PointMasses,
     RegularizationReport,
@@ -92,6 +94,7 @@ def fit_report(fit: Fit) -> FitReport:
         whole_robot=whole_robot_report(fit),
         foot_compliance=foot_compliance_report(fit),
         wrench_sensors=wrench_sensor_reports(fit),
+        wrench_sensor_offsets=plain_data(fit.validation.sensor_offsets),
         friction={joint: friction_report(fit, joint) for joint in experiment.model.joint_names},
         friction_intervals={joint: friction_intervals(fit, joint) for joint in experiment.model.joint_names},
         effects=[effect_report(fit, entry) for entry in experiment.config.effects],
@@ -235,24 +238,32 @@ def whole_robot_report(fit: Fit) -> WholeRobotReport | None:
 def wrench_sensor_reports(fit: Fit) -> dict[str, WrenchSensorReport]:
     """Readings without load of the wrench sensors whose offset was identified."""
     experiment = fit.experiment
-    names = experiment.model.names
-    offset_id = friction_types()["offset"].id
+    model, equation = experiment.model, experiment.equation
+    runs = [run for run in experiment.runs if run.train]
     reports = {}
-    for i, (joint, to_body) in enumerate(experiment.model.wrench_sensors.items()):
-        rows = names[experiment.model.sensor_coordinates(i)]
-        indices = [_coefficient_index(fit, offset_id, row) for row in rows]
-        to_reading = np.zeros((len(rows), len(experiment.equation.coefficients)))
-        for column, index in zip(np.linalg.inv(to_body).T, indices, strict=True):
-            if index is None:
-                break
-            to_reading[:, index] = column
-        else:
-            offset = to_reading @ fit.estimate.theta
-            errors = fit.uncertainty.of(to_reading).tolist()
-            reports[joint] = WrenchSensorReport(
-                offset=offset.tolist(), standard_error=[_finite_or_none(error) for error in errors]
+    for i, sensor in enumerate(experiment.config.wrench_sensors):
+        if not has_offset(model, equation, i):
+            continue
+        offsets = []
+        by_log = {}
+        for run in runs:
+            times = [0.0, *run.fitted_times]
+            at_start, first, last = offset_rows(model, equation, i, run.signals.recording, times)
+            offset, standard_error = _reading(fit, at_start)
+            drift, drift_error = _reading(fit, last - first) if sensor.has_drift else (None, None)
+            by_log[run.signals.recording] = OffsetInLog(
+                offset=offset, standard_error=standard_error, drift=drift, drift_standard_error=drift_error
             )
+            offsets.append(at_start)
+        offset, standard_error = _reading(fit, np.mean(offsets, axis=0))
+        reports[sensor.joint] = WrenchSensorReport(offset=offset, standard_error=standard_error, by_log=by_log)
     return reports
+
+
+def _reading(fit: Fit, rows: Array) -> tuple[list[float], list[float | None]]:
+    """A reading and its standard errors, from the reading per coefficient, shape (6, p)."""
+    errors = fit.uncertainty.of(rows).tolist()
+    return (rows @ fit.estimate.theta).tolist(), [_finite_or_none(error) for error in errors]
 
 
 def foot_compliance_report(fit: Fit) -> FootComplianceReport | None:
@@ -502,6 +513,7 @@ def validation_report(
         rms_by_kind=by_kind,
         rms_raw=ModelErrors(**rms_raw),
         nrms=nrms(evaluation, "model", joints),
+        wrench_sensor_offsets=plain_data(evaluation.sensor_offsets),
         simulation=simulation,
         bound=bounds,
         ok=met_bounds(rms.model, bounds),

@@ -58,6 +58,9 @@ class RobotModel:
     wrench_sensors
         By fixed joint, what turns the reading of its sensor into the wrench on the body that it carries, about the
         origin and along the axes of the body's frame; shape (6, 6).
+    offset_logs
+        Logs in which wrench sensors have offsets of their own: `Motion.recording`, and the times after which the rate
+        of a drift is constant [s]; see `WrenchSensorOffset`.
     gravity
         In the root link's frame, shape (3,) [m/s²]; 0 with a floating base, whose acceleration includes it.
     notices
@@ -71,6 +74,7 @@ class RobotModel:
     notices: tuple[Notice, ...] = ()
     frames: Mapping[str, Frame] = field(default_factory=dict)
     wrench_sensors: Mapping[str, Array] = field(default_factory=dict)
+    offset_logs: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -58,7 +58,7 @@ def wrench_sensors_section(sensors: Mapping[str, str]) -> ConfigSection:
     """The section, without the signs: joint of each sensor by its name in the logs."""
     comment = (
         "Sensors of force and moment at fixed joints (names in logs and URDF). offset: the reading without load, which "
-        "idtool fit determines."
+        "idtool fit determines for each log."
     )
     entries = []
     for name, joint in sensors.items():

@@ -227,7 +227,9 @@ def _in_band(batch: Batch) -> Motion:
     """A batch's motion in the band and decimated."""
     motion, low_pass = batch.motion, batch.low_pass
     q, v, a, tau = (batch.filter(x) for x in (motion.q, motion.v, motion.a, motion.tau))
-    return Motion(batch.t, q, v, a, tau, tau, motion.velocity_deadband, motion.dt * low_pass.stride, log=motion.log)
+    dt = motion.dt * low_pass.stride
+    deadband, log, recording = motion.velocity_deadband, motion.log, motion.recording
+    return Motion(batch.t, q, v, a, tau, tau, deadband, dt, log=log, recording=recording)
 
 
 def _groups(support: Mask) -> tuple[Indices, ...]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Iterator, Sequence
 from functools import cache
 
 import numpy as np
@@ -22,7 +21,7 @@ from idtool.dynamics.effects.foot_compliance import FootCompliance
 from idtool.dynamics.effects.joint_term import JointTerm
 from idtool.dynamics.effects.named_effect import NamedEffect, ParameterValue, config_parameters
 from idtool.dynamics.effects.rigid_body import RigidBodies
-from idtool.dynamics.effects.torque_offset import TorqueOffset
+from idtool.dynamics.effects.wrench_sensor_offset import wrench_sensor_offsets
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import Config, EffectEntry, Friction, UncertainValue
 from idtool.robot.model import RobotModel
@@ -84,10 +83,6 @@ def build_effects(model: RobotModel, config: Config) -> tuple[Effect, ...]:
     for joint in range(model.joint_count):
         for term in _friction(model, joint, config):
             effects[term.key] = term
-    for i, sensor in enumerate(config.wrench_sensors):
-        if sensor.has_offset:
-            for term in _sensor_offset(model, i, sensor.first_offset):
-                effects[term.key] = term
     entry_keys: set[tuple[str | float, ...]] = set()
     for entry in config.effects:
         effect = effect_from_entry(entry, model)
@@ -98,7 +93,7 @@ def build_effects(model: RobotModel, config: Config) -> tuple[Effect, ...]:
         entry_keys.add(effect.key)
         effects[effect.key] = effect
     feet = [contact for contact in config.contacts if contact.is_compliant]
-    others: list[Effect] = []
+    others: list[Effect] = [*wrench_sensor_offsets(model, config)]
     if model.has_floating_base and feet:
         compliance = np.mean([contact.first_compliance for contact in feet])
         others.append(FootCompliance(model, config.contacts, float(compliance)))
@@ -144,14 +139,6 @@ def effect_from_entry(entry: EffectEntry, model: RobotModel) -> NamedEffect:
     if entry.effect not in types:
         raise ConfigError(entry_location(entry), f"is not an effect of this version; {suggestion(entry.effect, types)}")
     return types[entry.effect].from_entry(entry, model)
-
-
-def _sensor_offset(model: RobotModel, sensor: int, reading: Sequence[float]) -> Iterator[TorqueOffset]:
-    """Offsets of a wrench sensor's six coordinates, from its reading without load."""
-    to_body = list(model.wrench_sensors.values())[sensor]
-    first = model.sensor_coordinates(sensor).start
-    for row, offset in enumerate(to_body @ np.asarray(reading), first):
-        yield TorqueOffset(model, row, float(offset))
 
 
 def _friction(model: RobotModel, joint: int, config: Config) -> list[JointTerm]:

@@ -118,8 +118,7 @@ class JointTerm(JointEffect):
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
-        if self.joint < mechanism.model.joint_count:  # else it is the offset of a wrench sensor
-            mechanism.smooth_terms.append((self, float(theta[0])))
+        mechanism.smooth_terms.append((self, float(theta[0])))
 
     @abstractmethod
     def column(self, motion: Motion) -> Array:

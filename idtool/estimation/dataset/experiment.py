@@ -25,6 +25,7 @@ from idtool.data.signals import Batch, Signals, default_cutoff
 from idtool.data.wrench_channels import WrenchChannels
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
+from idtool.dynamics.effects.wrench_sensor_offset import drift_times
 from idtool.dynamics.regressor import LinearModel
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.batch_cache import BatchCache
@@ -69,6 +70,12 @@ class Run:
     def parts(self, held_out: bool) -> tuple[slice, ...]:
         """The parts for validation, or those for fitting."""
         return self.held_out if held_out else self.train
+
+    @property
+    def fitted_times(self) -> tuple[float, float]:
+        """First and last time of the part for fitting, since the log's first complete sample [s]."""
+        dt = self.signals.log.dt
+        return self.train[0].start * dt, self.train[-1].stop * dt
 
 
 @dataclass(frozen=True)
@@ -352,14 +359,21 @@ def prepare(
         every = (*fitted, *validated)
         config, notices = with_imu_delay(config, model, every)
         model = replace(model, notices=(*model.notices, *notices))
+    names = recording_names(every)
+    if config.wrench_sensors:
+        seconds = [(1 - (0.0 if validate else holdout)) * (log.t[-1] - log.t[0]) for log in fitted]
+        times = map(drift_times, seconds)
+        model = replace(model, offset_logs=dict(zip(names, times, strict=False)))
     equation = LinearModel(
         model.names, build_effects(model, config), contacts=_contacts(model, config, fitted or every)
     )
     equalities = equality_constraints(config, model, equation)
     if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
         config = _with_band(config, min(default_cutoff(max(log.dt, sensor_step(log, config))) for log in every))
-    runs = [_split(signals_of(log, model, config), 0.0 if validate else holdout) for log in fitted]
-    runs += [_split(signals_of(log, model, config), 1.0) for log in validated]
+    shares = [0.0 if validate else holdout] * len(fitted) + [1.0] * len(validated)
+    runs = []
+    for log, name, share in zip(every, names, shares, strict=True):
+        runs.append(_split(signals_of(log, model, config, name), share))
     return Experiment(config, with_equal_bounds(model, equalities), equation, equalities, tuple(runs))
 
 
@@ -368,8 +382,26 @@ def _with_band(config: Config, cutoff_hz: float) -> Config:
     return config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": cutoff_hz})})
 
 
-def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
+def recording_names(logs: Sequence[JointLog]) -> list[str]:
+    """Names of logs, different from each other: the names of their files, with a number where these are the same."""
+    names: list[str] = []
+    for log in logs:
+        same = [other for other in logs[: len(names)] if other.path.name == log.path.name]
+        names.append(f"{log.path.name} ({len(same) + 1})" if same else log.path.name)
+    return names
+
+
+def signals_of(log: JointLog, model: RobotModel, config: Config, recording: str = "") -> Signals:
     """A log as the motion of a model.
+
+    Parameters
+    ----------
+    log
+        The log.
+    model, config
+        The robot.
+    recording
+        From `recording_names`; empty: its file name.
 
     Raises
     ------
@@ -379,7 +411,7 @@ def signals_of(log: JointLog, model: RobotModel, config: Config) -> Signals:
     base_sensors = BaseSensors.of_log(log, model, config)
     wrench_channels = WrenchChannels.of_log(log, model, config)
     contact_channels = ContactChannels.of_log(log, config, base_sensors)
-    signals = Signals(log, model.joint_names, config, base_sensors, wrench_channels, contact_channels)
+    signals = Signals(log, model.joint_names, config, base_sensors, wrench_channels, contact_channels, recording)
     if base_sensors is not None:
         signals.notices += imu_findings(log)
         signals.notices += kinematic_notices(signals, model, config)
@@ -513,7 +545,7 @@ def coefficients_of(robot: Robot, config: Config, experiment: Experiment) -> Arr
     own = experiment.config
     sensors = {"base": own.base, "contacts": own.contacts, "wrench_sensors": own.wrench_sensors}
     config = config.model_copy(update={"joints": joints, **sensors})
-    model = build_model(robot, config, joints)
+    model = replace(build_model(robot, config, joints), offset_logs=experiment.model.offset_logs)
     coefficients = LinearModel(model.names, build_effects(model, config)).coefficients
     values = {c.key: c.prior for c in coefficients}
     if {body.name for body in model.bodies} != {body.name for body in experiment.model.bodies}:

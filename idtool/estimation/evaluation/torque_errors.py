@@ -7,14 +7,16 @@ error against the torque as logged compares the filtered prediction with the unf
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Batch, Motion
+from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
 from idtool.estimation.evaluation.envelope import Envelope, Trace
+from idtool.estimation.evaluation.held_out_offsets import models_in_log
 from idtool.estimation.evaluation.spectrum import Correlations
 
 
@@ -82,12 +84,16 @@ class Evaluation:
         Torque curves for drawing, one `Trace` per log.
     independent_samples
         Number of independent samples in the first model's residual, by joint.
+    sensor_offsets
+        Readings of the wrench sensors without load that were estimated from the logs themselves, for the first model:
+        by log and fixed joint, shape (6,) [N, N·m].
     """
 
     errors: Mapping[str, Errors]
     torque_std: Mapping[str, float]
     traces: tuple[Trace, ...]
     independent_samples: Mapping[str, float]
+    sensor_offsets: Mapping[str, Mapping[str, Array]] = field(default_factory=dict)
 
 
 def evaluate(
@@ -117,19 +123,23 @@ def evaluate(
     known_samples = np.zeros(len(joints))
     stride = 1
     traces, correlations = [], Correlations()
+    sensor_offsets = {}
     for run in experiment.runs:
         parts = run.parts(held_out)
         if not parts:
             continue
         log, stride = run.signals.log, run.signals.low_pass.stride
         envelope = Envelope(parts, log.t)
+        own = models_in_log(experiment, run, held_out, models)
+        if own.offsets:
+            sensor_offsets[run.signals.recording] = own.offsets
         samples_of_log = 0
         is_known = np.zeros(len(joints), dtype=bool)
         torque_sums_of_log = np.zeros_like(torque_sums)
         squares_of_log = {name: np.zeros((2, len(joints))) for name in models}  # in the band, as logged
         batches = run.signals.batches(parts, every_sample=True)
         for batch in tracked(batches, parts, progress, f"predicting {log.path.name}"):
-            measured, predicted, is_known_in_batch = _predict(experiment, batch, models)
+            measured, predicted, is_known_in_batch = _predict(own.equation, batch, own.thetas)
             inner = slice(batch.before, len(batch.motion.t) - batch.after)
             numbers = samples_of_log + np.arange(measured.shape[1])
             seconds_of_samples = second + (numbers * log.dt).astype(int)
@@ -163,6 +173,7 @@ def evaluate(
         dict(zip(joints, torque_std.tolist(), strict=True)),
         tuple(traces),
         dict(zip(joints, independent.tolist(), strict=False)),
+        sensor_offsets,
     )
 
 
@@ -181,8 +192,8 @@ def _seconds(run: Run, held_out: bool) -> int:
     return int(samples * run.signals.log.dt) + 1
 
 
-def _predict(experiment: Experiment, batch: Batch, models: Mapping[str, Array]) -> tuple[Array, dict[str, Array], Mask]:
+def _predict(equation: LinearModel, batch: Batch, models: Mapping[str, Array]) -> tuple[Array, dict[str, Array], Mask]:
     """Measured torque and each model's, in the band, at every sample; and which rows are known, shape (nv,)."""
     thetas = np.stack(list(models.values()))
-    measured, predicted, is_known = experiment.equation.compared_torques(batch, thetas)
+    measured, predicted, is_known = equation.compared_torques(batch, thetas)
     return measured, dict(zip(models, predicted, strict=True)), is_known

@@ -18,6 +18,7 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
+from idtool.estimation.dataset.sensor_offsets import with_offsets_of
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.estimation.uncertainty.cluster_robust import cluster_robust_estimate
 
@@ -177,7 +178,8 @@ def _cross_error(equation: LinearModel, data: Sequence[Blocks], noise: Array, mo
     """Each model's error on each log, in units of the joints' noise, shape (models, logs)."""
     errors = np.zeros((len(models), len(data)))
     for column, log in enumerate(data):
-        for row, theta in enumerate(models):
+        for row, model in enumerate(models):
+            theta = with_offsets_of(equation, log.total, noise, model)
             joints = zip(log.total, equation.active(), noise, strict=True)
             means = [
                 factor.squared_error(theta[columns]) / max(factor.rows, 1) / sigma**2

@@ -15,6 +15,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.dynamics.effects import NamedEffect, RigidBodies, build_effects, mechanism_of
 from idtool.dynamics.effects.simulator_element import SimulatorElement
+from idtool.dynamics.effects.wrench_sensor_offset import WrenchSensorOffset
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.regressor import LinearModel
 from idtool.reporting.export.base import Part
@@ -138,6 +139,9 @@ def identified_model(robot: Robot, config: Config) -> IdentifiedModel:
     for effect in equation.effects:
         if isinstance(effect, NamedEffect):
             sorts.add(effect)
+        elif isinstance(effect, WrenchSensorOffset):
+            offset = effect.coefficients[0]
+            sorts.others.append(Part(offset.effect, offset.owner, OF_SENSORS, offset.prior, offset.unit))
     mechanism = equation.mechanism(model, equation.prior)
     return IdentifiedModel(
         robot=robot,
@@ -179,9 +183,6 @@ class _EffectsByForm:
         mechanism = mechanism_of(effect, self.model)
         owner = next((name for name in effect.key[1:] if isinstance(name, str) and name), "robot")
         amount = self._amount(effect, theta)
-        if owner in self.model.names and owner not in self.model.joint_names:  # a coordinate of a wrench sensor
-            self.others.append(Part(effect.id, owner, OF_SENSORS, *amount))
-            return
         if any(value for _, value in (*mechanism.smooth_terms, *mechanism.dry_friction_terms)):
             self.terms.append(EffectTorque(effect.id, owner, effect.simulator_elements(theta), amount))
         if mechanism.pi.any() or mechanism.model.bodies is not self.model.bodies:

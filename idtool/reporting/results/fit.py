@@ -14,6 +14,7 @@ from idtool.reporting.results.base import (
     Interval,
     Keys,
     LinkEllipsoid,
+    OffsetsByLog,
     ReadOnly,
     Record,
     ReproducibleResult,
@@ -358,11 +359,25 @@ class FootComplianceReport(Record):
     standard_error: float | None = field("Its standard error [m/N]; null if the data do not determine it.")
 
 
+class OffsetInLog(Record):
+    """Reading of a sensor of force and moment without load in one log."""
+
+    offset: list[float] = field("Force [N] and moment [N·m] at the beginning of the log, along the axes of the sensor.")
+    standard_error: list[float | None] = field("Standard errors; null if the data do not determine one.")
+    drift: list[float] | None = field(
+        "Its change along the part of the log that was fitted [N, N·m]; null if the model has no drift."
+    )
+    drift_standard_error: list[float | None] | None = field("Standard errors of the drift.")
+
+
 class WrenchSensorReport(Record):
     """Reading of a sensor of force and moment without load."""
 
-    offset: list[float] = field("Force [N] and moment [N·m], along the axes of the sensor.")
+    offset: list[float] = field("Force [N] and moment [N·m], along the axes of the sensor; the mean over the logs.")
     standard_error: list[float | None] = field("Standard errors; null if the data do not determine one.")
+    by_log: Annotated[ReadOnly[OffsetInLog], Keys("log")] = field(
+        "Offset in each log that was fitted; the same in all of them with `common_offset`."
+    )
 
 
 class SolverReport(Record):
@@ -406,6 +421,10 @@ class FitReport(ReproducibleResult):
     )
     wrench_sensors: Annotated[ReadOnly[WrenchSensorReport], Keys("joint")] = field(
         "Wrench sensors whose offset was identified, by the fixed joint that they are at."
+    )
+    wrench_sensor_offsets: OffsetsByLog = field(
+        "Offsets of the wrench sensors in logs that are used for validation only, by the identified model [N, N·m]; "
+        "estimated from these logs themselves."
     )
     friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Identified friction.")
     friction_intervals: Annotated[ReadOnly[FrictionIntervals], Keys("joint")] = field("95 % intervals of friction.")

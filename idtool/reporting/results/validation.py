@@ -11,6 +11,7 @@ from idtool.reporting.results.base import (
     ByJointOrNone,
     ByKindOrNone,
     Keys,
+    OffsetsByLog,
     ReadOnly,
     Record,
     ReproducibleResult,
@@ -56,6 +57,9 @@ class ValidationReport(ReproducibleResult):
     )
     rms_raw: ModelErrors = field("RMS torque errors against the torque as logged.")
     nrms: ByJointOrNone = field("`rms.model` divided by the standard deviation of the measured torque.")
+    wrench_sensor_offsets: OffsetsByLog = field(
+        "Offsets of the wrench sensors that were estimated from the logs themselves, by the model [N, N·m]."
+    )
     simulation: Simulation | None = field(
         "Forward simulation; null with `--no-simulation`, or if the model cannot be simulated."
     )

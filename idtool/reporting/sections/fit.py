@@ -166,24 +166,37 @@ class WrenchSensorsSection(Section[FitReport]):
     def table(self, report: FitReport) -> Table | None:
         if not report.wrench_sensors:
             return None
-        columns = [
-            name_column("sensor"),
-            Column("component", kind="words"),
-            Column("unit", kind="name"),
-            Column("identified"),
-            error_column(),
-        ]
+        by_log = [own for sensor in report.wrench_sensors.values() for own in sensor.by_log.values()]
+        has_logs = len(by_log) > len(report.wrench_sensors)
+        has_drift = any(own.drift for own in by_log)
+        columns = [name_column("sensor"), Column("component", kind="words"), Column("unit", kind="name")]
+        if has_logs:
+            columns.append(name_column("log"))
+        columns += [Column("identified"), error_column()]
+        if has_drift:
+            columns += [Column("drift", help="Change along the part of the log that was fitted"), error_column()]
         rows = []
         for joint, sensor in report.wrench_sensors.items():
             components = [(f"force, {axis}", "N") for axis in "xyz"] + [(f"moment, {axis}", "N·m") for axis in "xyz"]
-            values = zip(components, sensor.offset, sensor.standard_error, strict=True)
-            for (component, unit), offset, error in values:
-                rows.append([Cell(joint), Cell(component), Cell(unit), *error_cells(offset, error)])
+            for i, (component, unit) in enumerate(components):
+                for log, own in sensor.by_log.items():
+                    row = [Cell(joint), Cell(component), Cell(unit)]
+                    if has_logs:
+                        row.append(Cell(log))
+                    row += error_cells(own.offset[i], own.standard_error[i])
+                    if has_drift and own.drift and own.drift_standard_error:
+                        row += error_cells(own.drift[i], own.drift_standard_error[i])
+                    elif has_drift:
+                        row += [Cell(NO_VALUE), Cell(NO_VALUE)]
+                    rows.append(row)
         return Table(self.title, columns, rows)
 
     @override
     def text(self, report: FitReport) -> str:
-        return "Force and moment that a sensor reads without load, along its own axes."
+        return (
+            "Force and moment that a sensor reads without load, along its own axes, at the beginning of each log. Each "
+            "log has an offset of its own, unless common_offset is set."
+        )
 
 
 class BodiesSection(Section[FitReport | DiagnosisReport]):

@@ -33,7 +33,8 @@ class WrenchSensor(ConfigRecord):
     ``force_<channel>_x`` to ``force_<channel>_mz``; in MCAP, ``topic`` names it. ``frame`` is the link along whose axes
     and about whose origin it measures, by default the joint's child link. With ``sign`` 1, it measures the wrench on
     the child link; with −1, that on the parent. ``offset`` is its reading without load, which a fit determines; numbers
-    are the first guess [N, N·m].
+    are the first guess [N, N·m]. It changes from log to log, so that each log has its own, unless ``common_offset``.
+    With ``drift``, it also changes slowly along a log; with ``auto``, if the logs that are fitted show that it does.
     """
 
     joint: Name
@@ -42,6 +43,8 @@ class WrenchSensor(ConfigRecord):
     frame: Name | None = None
     sign: Literal[1, -1] = 1
     offset: Annotated[Literal["fit", "none"] | Wrench, BeforeValidator(_offset)] = "fit"
+    common_offset: bool = False
+    drift: bool | Literal["auto"] = "auto"
 
     @property
     def logged_channels(self) -> tuple[str, ...]:
@@ -55,6 +58,16 @@ class WrenchSensor(ConfigRecord):
     def has_offset(self) -> bool:
         """True if the reading without load is not 0."""
         return self.offset != "none"
+
+    @property
+    def has_offset_by_log(self) -> bool:
+        """True if the reading without load may differ between logs."""
+        return self.has_offset and not self.common_offset
+
+    @property
+    def has_drift(self) -> bool:
+        """True if the reading without load changes along a log."""
+        return self.has_offset and self.drift is True
 
     @property
     def first_offset(self) -> Wrench:
