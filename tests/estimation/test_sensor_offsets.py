@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sensor_arm import LINKS, SENSOR, urdf_text, write_log
+from sensor_arm import LINKS, SENSOR, Push, urdf_text, write_log
 
 import idtool
 
@@ -165,3 +165,25 @@ def test_drift_is_estimated_in_the_last_part_of_a_log(folder: Path) -> None:
     assert "wrench_sensor_drift" in codes(drifting)
     assert codes(steady) == []
     assert drifting.rms.validation["overall"] == pytest.approx(steady.rms.validation["overall"], rel=0.1)
+
+
+def test_offsets_beside_an_unknown_contact_force(folder: Path) -> None:
+    """The force on the hand is eliminated, which takes the sensor's offset from its own rows to others."""
+    push = Push(np.array([12.0, -8.0, 15.0, 0.0, 0.0, 0.0]), np.array([0.2, 0.01, 0.03]))
+    pushed = folder / "pushed"
+    pushed.mkdir()
+    for name, offset in OFFSETS.items():
+        write_log(pushed / name, SECONDS, offset, seed=SEEDS[name], push=push)
+    contact = {"name": "tool", "link": "hand", "point": [*push.point], "flag": "contact_tool", "widen": 0.01}
+    config = {**model(folder).settings.model_dump(exclude_unset=True), "contacts": [contact]}
+    with_contact = idtool.Model(folder / "prior.urdf", config=config)
+    logs = [pushed / "a.csv", pushed / "b.csv"]
+    result = idtool.fit(with_contact, logs, validate=[pushed / "c.csv"], quick=True)
+    assert codes(result) == ["wrench_sensor_offset_differs", "wrench_sensor_offset_reestimated"]
+    for name, own in result.wrench_sensors[SENSOR].by_log.items():
+        np.testing.assert_allclose(own.offset, OFFSETS[name], atol=0.2)
+    np.testing.assert_allclose(result.wrench_sensor_offsets["c.csv"][SENSOR], OFFSETS["c.csv"], atol=0.2)
+    train, validation = result.rms.train, result.rms.validation
+    for axis in "xyz":
+        row = f"{SENSOR}_force_{axis}"
+        assert validation[row] == pytest.approx(train[row], rel=0.3)
