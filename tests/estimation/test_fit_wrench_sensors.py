@@ -254,8 +254,6 @@ def test_missing_channel_is_named(folder: Path) -> None:
 
 def test_commands_that_need_joints_alone_refuse_a_sensor(folder: Path) -> None:
     model = idtool.Model(folder / "arm.urdf", config=settings())
-    with pytest.raises(ConfigError, match="wrench_sensors"):
-        idtool.simulate(model, folder / "arm.csv")
     with pytest.raises(ConfigError, match=r"wrench_sensors: are not for idtool diagnose --against"):
         idtool.diagnose(model, folder / "arm.csv", against=folder / "without_torque.csv")
 

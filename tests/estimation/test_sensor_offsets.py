@@ -10,6 +10,7 @@ import pytest
 from sensor_arm import LINKS, SENSOR, Push, urdf_text, write_log
 
 import idtool
+from idtool.estimation.dataset.reduction import Factor
 
 OFFSETS = {
     "a.csv": np.array([3.0, -2.0, 5.0, 0.1, 0.2, -0.3]),
@@ -187,3 +188,27 @@ def test_offsets_beside_an_unknown_contact_force(folder: Path) -> None:
     for axis in "xyz":
         row = f"{SENSOR}_force_{axis}"
         assert validation[row] == pytest.approx(train[row], rel=0.3)
+
+
+def test_study_compares_on_a_log_with_another_offset(folder: Path) -> None:
+    logs = [folder / "a.csv", folder / "b.csv"]
+    study = idtool.study(model(folder), logs, validate=[folder / "c.csv"], draws=5)
+    same = [folder / "same" / "a.csv", folder / "same" / "b.csv"]
+    expected = idtool.study(model(folder), same, validate=[folder / "same" / "c.csv"], draws=5)
+    for name, curve in study.learning.curves.items():
+        assert curve.median[-1] == pytest.approx(expected.learning.curves[name].median[-1], rel=0.1)
+
+
+def test_base_parameters_are_as_many_as_with_one_log(folder: Path) -> None:
+    """A second log adds an offset of its own, which is no parameter of the robot."""
+    one_log = idtool.fit(model(folder), folder / "a.csv")
+    two_logs = idtool.fit(model(folder), [folder / "a.csv", folder / "b.csv"])
+    assert len(two_logs.base_parameters.parameters) == len(one_log.base_parameters.parameters)
+
+
+def test_factor_without_columns_is_that_of_rows_without_their_means(rng: np.random.Generator) -> None:
+    rows = rng.normal(size=(50, 5))
+    with_ones = np.column_stack([rows[:, :2], np.ones(50), rows[:, 2:]])
+    left = Factor.from_columns(with_ones.T).without_columns(np.array([2]))
+    centred = rows - rows.mean(axis=0)
+    np.testing.assert_allclose(left.R.T @ left.R, centred.T @ centred, atol=1e-12)

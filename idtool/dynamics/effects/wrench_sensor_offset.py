@@ -71,7 +71,8 @@ class WrenchSensorOffset(Effect):
         self.active = tuple(np.arange(len(coefficients) if j == row else 0) for j in range(len(model.joints)))
 
     def shares(self, recording: str, t: Array) -> Array:
-        """Offset per coefficient at times of a log [s], shape (m, N)."""
+        """Offset per coefficient at times of a log [s], shape (m, N); without a name, of the first log."""
+        recording = recording or self.recordings[0]
         shares = np.zeros((len(self.coefficients), len(t)))
         for share, name in zip(shares, self.recordings, strict=False):
             if name in ("", recording):

@@ -55,6 +55,15 @@ class Factor:
         rows = float(shares.sum())
         return cls(factor.R, rows, rows / redundancy)
 
+    def without_columns(self, columns: Indices) -> Factor:
+        """The factor of what the best coefficients of some columns leave of the others and of the torque."""
+        eliminated = self.R[:, columns]
+        others = np.delete(self.R, columns, axis=1)
+        if not eliminated.size:
+            return Factor(others, self.rows, self.independent)
+        explained = eliminated @ np.linalg.lstsq(eliminated, others, rcond=None)[0]
+        return Factor(_triangle(others - explained), self.rows, self.independent)
+
     def squared_error(self, theta: Array) -> float:
         """Sum of squared residuals ‖Y_j theta − tau_j‖² for the joint's m_j coefficients [(N·m)²]."""
         return float(np.square(self.R @ np.append(theta, -1.0)).sum())

@@ -6,14 +6,15 @@ compared, six numbers per sensor and log are taken from the log: those that leav
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.dynamics.effects.wrench_sensor_offset import further_offsets
+from idtool.dynamics.effects.effect import Effect
+from idtool.dynamics.effects.wrench_sensor_offset import WrenchSensorOffset, further_offsets
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Run
 from idtool.estimation.dataset.sensor_offsets import offset_rows
@@ -58,29 +59,38 @@ def models_in_log(experiment: Experiment, run: Run, held_out: bool, models: Mapp
         Name to coefficients, shape (p,).
     """
     equation = experiment.equation
-    sensors = {}
-    for i, sensor in enumerate(experiment.config.wrench_sensors):
-        is_new = sensor.has_offset_by_log and not run.train
-        if held_out and (is_new or sensor.has_drift):
-            sensors[i] = sensor
-    if not sensors:
+    effects = held_out_offsets(experiment, run) if held_out else []
+    if not effects:
         return LogModels(equation, models, {})
-
-    log = run.signals.log
-    effects = further_offsets(experiment.model, sensors, run.signals.recording, float(log.t[-1] - log.t[0]))
     further = LinearModel(equation.joints, tuple(effects), contacts=equation.contacts)
     changes = _offset_changes(equation, further, run, held_out, models)
-    extended = replace(equation, effects=(*map(copy, equation.effects), *effects))
+    extended = with_further_effects(equation, effects)
     pairs = zip(models.items(), changes, strict=True)
     thetas = {name: np.concatenate([theta, change]) for (name, theta), change in pairs}
 
     first = next(iter(thetas.values()))
     readings = {}
-    for i, sensor in sensors.items():
-        if not run.train:
+    for i, sensor in enumerate(experiment.config.wrench_sensors):
+        if sensor.has_offset_by_log and not run.train:
             (to_offset,) = offset_rows(experiment.model, extended, i, run.signals.recording, [0.0])
             readings[sensor.joint] = to_offset @ first
     return LogModels(extended, thetas, readings)
+
+
+def held_out_offsets(experiment: Experiment, run: Run) -> list[WrenchSensorOffset]:
+    """Effects whose coefficients are to be estimated from what was held out of a log."""
+    sensors = {}
+    for i, sensor in enumerate(experiment.config.wrench_sensors):
+        is_new = sensor.has_offset_by_log and not run.train
+        if is_new or sensor.has_drift:
+            sensors[i] = sensor
+    log = run.signals.log
+    return further_offsets(experiment.model, sensors, run.signals.recording, float(log.t[-1] - log.t[0]))
+
+
+def with_further_effects(equation: LinearModel, effects: Sequence[Effect]) -> LinearModel:
+    """The equation with effects whose coefficients come after all others."""
+    return replace(equation, effects=(*map(copy, equation.effects), *effects))
 
 
 def _offset_changes(

@@ -16,6 +16,7 @@ from idtool.common.exceptions import SolverError
 from idtool.common.processes import shared_among_processes
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
+from idtool.estimation.evaluation.held_out_offsets import held_out_offsets, with_further_effects
 from idtool.estimation.evaluation.torque_errors import overall_rms
 from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem
@@ -132,13 +133,16 @@ def held_out(experiment: Experiment, progress: Progress) -> Reduction:
     equation = experiment.equation
     total = empty(equation.active())
     for run in experiment.runs:
-        of_log = empty(equation.active())
+        extended = with_further_effects(equation, held_out_offsets(experiment, run))
+        of_log = empty(extended.active())
         is_compared = np.zeros(len(equation.joints), dtype=bool)
         for batch in tracked(run.signals.batches(run.held_out), run.held_out, progress, "reading held-out data"):
             row_filter = equation.row_filter(batch)
-            blocks = equation.filtered_columns(batch, row_filter)
+            blocks = extended.filtered_columns(batch, row_filter)
             of_log = merge(of_log, tuple(Factor.from_columns(block) for block in blocks))
             is_compared |= equation.compared_rows(batch, row_filter)
+        further = [np.flatnonzero(active >= len(equation.coefficients)) for active in extended.active()]
+        of_log = tuple(factor.without_columns(columns) for factor, columns in zip(of_log, further, strict=True))
         none = empty(equation.active())
         compared = [own if known else no for own, no, known in zip(of_log, none, is_compared, strict=True)]
         total = merge(total, tuple(compared))
