@@ -118,7 +118,7 @@ def distinguishing_experiment(first: Candidate, second: Candidate, experiment: E
     hints = [
         f"{kinds[candidate.effect].excitation_hint} ({effect_name(candidate.effect)})" for candidate in (first, second)
     ]
-    motion = f"log {hints[0]}, and {hints[1]}"
+    motion = f"log {', and '.join(dict.fromkeys(hints))}"
     if any(kinds[candidate.effect].acts_in_bursts for candidate in (first, second)):
         return motion  # no motion can be designed for what acts whatever the motion
     names = [":".join(filter(None, (one.effect, one.joint or one.link))) for one in (first, second)]

@@ -353,9 +353,16 @@ def _coefficient_index(fit: Fit, effect: str, owner: str) -> int | None:
 def friction_report(fit: Fit, joint: str) -> FrictionReport:
     """One entry of ``friction``."""
     terms = {key: _coefficient(fit, kind.id, joint) for key, kind in friction_types().items()}
+    if _torque_is_unknown(fit, joint):
+        terms = dict.fromkeys(terms)
     values = {name: term[0] if term else None for name, term in terms.items()}
     errors = {name: term[1] if term else None for name, term in terms.items()}
     return FrictionReport(**values, standard_error=FrictionErrors(**errors))
+
+
+def _torque_is_unknown(fit: Fit, joint: str) -> bool:
+    """True if no log that was fitted has the torque of a joint, so that its friction has only been assumed."""
+    return all(joint in run.signals.log.unknown_torque for run in fit.experiment.runs if run.train)
 
 
 def friction_intervals(fit: Fit, joint: str) -> FrictionIntervals:

@@ -110,16 +110,15 @@ class BaseSections:
             name += "_"
         comment = (
             f"{name}: what holds {root} in {join_names(logs)} while no contact is closed, such as a rope (logs). "
-            "Without a flag, it is always closed, which costs accuracy."
+            "flag: auto: it is closed while no other contact is."
         )
-        entry = {"name": name, "link": root, "kind": "surface"}
+        entry = {"name": name, "link": root, "kind": "surface", "flag": "auto"}
         section = replace(section, comments=(*section.comments, comment), value=[*section.value, entry])
-        todo = TodoItem("contacts.flag", f"log when {name} holds the robot, or leave out {join_names(logs)}")
-        return replace(self, sections={**self.sections, "contacts": section}, todo=(*self.todo, todo))
+        return replace(self, sections={**self.sections, "contacts": section})
 
-    def with_signs(self, correlations: Mapping[str, float]) -> BaseSections:
-        """A copy with the signs of the wrench sensors by `force_correlations`."""
-        section, todo = with_signs(self.sections["wrench_sensors"], correlations)
+    def with_signs(self, signs: Mapping[str, int]) -> BaseSections:
+        """A copy with the signs of the wrench sensors by `sensor_signs`."""
+        section, todo = with_signs(self.sections["wrench_sensors"], signs)
         return replace(self, sections={**self.sections, "wrench_sensors": section}, todo=(*self.todo, *todo))
 
 
@@ -163,6 +162,7 @@ class _Proposer:
     sections: dict[str, ConfigSection] = field(default_factory=dict)
     todo: list[TodoItem] = field(default_factory=list)
     feet_without_radius: list[str] = field(default_factory=list)
+    unused_forces: list[str] = field(default_factory=list)
 
     def propose(self) -> None:
         floating = self.config.base.model_copy(update={"kind": "floating"})
@@ -170,10 +170,10 @@ class _Proposer:
         self.model: RobotModel = build_model(self.robot, settings, self.joints)
         self.feet = find_feet(self.robot, self.model)
         is_given = "wrench_sensors" in self.config.model_fields_set
-        sensors = {} if is_given else wrench_sensor_joints(self.robot, self.logged.wrenches)
-        contacts, unmatched = self._logged_contacts(set(sensors))
-        if sensors:
-            self.sections["wrench_sensors"] = wrench_sensors_section(sensors)
+        self.sensors = {} if is_given else wrench_sensor_joints(self.robot, self.logged.wrenches)
+        contacts, unmatched = self._logged_contacts()
+        if self.sensors:
+            self.sections["wrench_sensors"] = wrench_sensors_section(self.sensors)
         bodies_of_feet = {self.model.frames[foot].body for foot in self.feet}
         touching = {self.model.frames[link].body for link in contacts.values()}
         touches_foot_or_base = any(body in bodies_of_feet or self.model.bodies[body].is_base for body in touching)
@@ -262,14 +262,14 @@ class _Proposer:
     def _is_on_base(self, link: str) -> bool:
         return self.model.bodies[self.model.frames[link].body].is_base
 
-    def _logged_contacts(self, sensors: set[str]) -> tuple[dict[str, str], list[str]]:
+    def _logged_contacts(self) -> tuple[dict[str, str], list[str]]:
         """Link of each contact that was logged, by its name; and the names that match no link."""
         of_sensors = {channel for sensor in self.config.wrench_sensors for channel in sensor.logged_channels}
         contacts: dict[str, str] = {}
         unmatched = []
         for name in dict.fromkeys((*self.logged.flags, *self.logged.wrenches)):
             has_flag = name in self.logged.flags
-            is_of_sensor = name in sensors or f"force_{name}_x" in of_sensors
+            is_of_sensor = name in self.sensors or f"force_{name}_x" in of_sensors
             if is_of_sensor and not has_flag:
                 continue
             link = self._link_of_contact(name)
@@ -279,6 +279,12 @@ class _Proposer:
                 unmatched.append(name)
             else:
                 contacts[name] = link
+        bodies = {name: self.model.frames[link].body for name, link in contacts.items()}
+        flagged = {body for name, body in bodies.items() if name in self.logged.flags}
+        for name, body in bodies.items():
+            if name not in self.logged.flags and body in flagged:  # one contact, whose flag is enough
+                del contacts[name]
+                self.unused_forces.append(name)
         if self.feet and set(self.feet) <= set(contacts.values()):  # so that what is left is none of them
             contacts |= {name: self.robot.root for name in unmatched if name in self.logged.flags}
         return contacts, [name for name in unmatched if name not in contacts]
@@ -396,6 +402,7 @@ class _Proposer:
         if closed:
             comments.append(f"Always closed without a flag, which costs accuracy: {join_names(closed)}.")
         both = [name for name in logged if name in self.logged.flags and name in self.logged.wrenches]
+        both = [name for name in (*both, *self.unused_forces) if name not in self.sensors]
         if both:
             first = self.logged.wrenches[both[0]]
             comments.append(

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from idtool.estimation.dataset.contact_detection import flag_channels, is_any_set, measured_loads
 from idtool.estimation.dataset.experiment import Experiment, Run
-from idtool.robot.config import Config
-from idtool.robot.model import RobotModel
 
 _GRAVITY = 9.81  # m/s²
 _IN_FLIGHT = 0.5  # of gravity, below which a robot that nothing holds has its acceleration
 _AVERAGE = 0.3  # s
+_WIDENING = 0.12  # s, by which contacts last longer than their flags
 _MIN_SHARE = 0.05  # of a log
 
 
@@ -21,15 +21,18 @@ def held_logs(experiment: Experiment) -> list[str]:
     Parameters
     ----------
     experiment
-        Of a robot with a floating base; without flags of all contacts, there are no such logs.
+        Of a robot with a floating base; without flags or forces of all contacts, there are no such logs.
     """
-    if any(contact.flag_channel is None for contact in experiment.config.contacts):
+    contacts = experiment.config.contacts
+    if any(contact.flag is None and not contact.is_measured for contact in contacts):
         return []
-    return [run.signals.log.path.name for run in experiment.runs if _is_held(run, experiment.model, experiment.config)]
+    return [run.signals.log.path.name for run in experiment.runs if _is_held(run, experiment)]
 
 
-def _is_held(run: Run, model: RobotModel, config: Config) -> bool:
-    log = run.signals.log
+def _is_held(run: Run, experiment: Experiment) -> bool:
+    log, model = run.signals.log, experiment.model
+    contacts = experiment.config.contacts
+    closed = [*flag_channels(contacts, log), *measured_loads(contacts, log, model)]
     held = count = 0
     for batch in run.signals.batches():
         proper_acceleration = batch.filter(batch.motion.a)[model.base_coordinates][:3]
@@ -37,9 +40,6 @@ def _is_held(run: Run, model: RobotModel, config: Config) -> bool:
         samples = max(round(_AVERAGE / (log.dt * batch.low_pass.stride)), 1)
         mean = uniform_filter1d(proper_acceleration, samples, axis=1)
         is_supported = np.linalg.norm(mean, axis=0) > _IN_FLIGHT * _GRAVITY
-        is_closed = np.zeros(len(t), dtype=bool)
-        for contact in config.contacts:
-            is_closed |= log.channels[str(contact.flag_channel)].is_set(t, contact.widen)
-        held += int((is_supported & ~is_closed).sum())
+        held += int((is_supported & ~is_any_set(closed, t, _WIDENING)).sum())
         count += len(t)
     return held > _MIN_SHARE * count

@@ -13,7 +13,7 @@ from idtool.common.names import join_names, printable
 from idtool.common.notice import unique
 from idtool.dynamics.effects import JointTerm, effect_types
 from idtool.estimation.dataset.experiment import Progress, prepare
-from idtool.estimation.dataset.wrench_sensor_sign import force_correlations
+from idtool.estimation.dataset.wrench_sensor_sign import sensor_signs
 from idtool.robot.config import parse_config
 from idtool.robot.model import RobotModel, build_model
 from idtool.robot.urdf.reading import Robot
@@ -155,17 +155,20 @@ def _trial_data(draft: Draft) -> dict[str, Any]:
 
 
 def _with_signs(draft: Draft) -> Draft:
-    """The draft with the signs of proposed wrench sensors, as far as the first log tells them."""
+    """The draft with the signs of proposed wrench sensors, as far as the logs tell them."""
     if "wrench_sensors" not in draft.base.sections:
         return draft
     config = parse_config(_trial_data(draft), "trial")
-    try:
-        experiment = prepare(draft.robot, config, draft.log_summary.logs[:1])
-        signals = experiment.runs[0].signals
-        correlations = force_correlations(signals, experiment.model, experiment.config)
-    except IdtoolError:  # which the trials report
-        correlations = {}
-    return replace(draft, base=draft.base.with_signs(correlations))
+    signs: dict[str, int] = {}
+    for log in draft.log_summary.logs:
+        try:
+            experiment = prepare(draft.robot, config, [log])
+        except IdtoolError:  # which the trials report
+            continue
+        signs = sensor_signs(experiment.runs[0].signals, experiment.model, experiment.config) | signs
+        if len(signs) == len(config.wrench_sensors):
+            break
+    return replace(draft, base=draft.base.with_signs(signs))
 
 
 def _with_radius(draft: Draft) -> Draft:

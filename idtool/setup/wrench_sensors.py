@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from idtool.common.names import join_names
-from idtool.estimation.dataset.wrench_sensor_sign import MIN_CORRELATION
 from idtool.robot.model import WRENCH_SIZE
 from idtool.robot.urdf.reading import Robot, UrdfJoint
 from idtool.setup.name_matching import SENSOR_WORDS, match, words
@@ -30,7 +29,7 @@ def wrench_sensor_joints(robot: Robot, wrenches: Mapping[str, Sequence[str]]) ->
     complete = [name for name, channels in wrenches.items() if len(channels) == WRENCH_SIZE]
     sensors: dict[str, str] = {}
     for name in complete:
-        joint = match(name, between)
+        joint = _named_sensor(name, [*between, *at_ends]) or match(name, between)
         if name in robot.links and joint != name:
             continue  # it is a contact
         if joint is None and match(name, list(robot.links)) is None:
@@ -38,6 +37,16 @@ def wrench_sensor_joints(robot: Robot, wrenches: Mapping[str, Sequence[str]]) ->
         if joint is not None and joint not in sensors.values():
             sensors[name] = joint
     return sensors
+
+
+def _named_sensor(name: str, joints: Sequence[str]) -> str | None:
+    """The joint of that name, or the joint named as a sensor that the name of a sensor means; None without one."""
+    if name in joints:
+        return name
+    sensor_words = set(SENSOR_WORDS)
+    if not words(name) & sensor_words:
+        return None
+    return match(name, [joint for joint in joints if words(joint) & sensor_words])
 
 
 def _has_load(robot: Robot, joint: UrdfJoint) -> bool:
@@ -67,23 +76,18 @@ def wrench_sensors_section(sensors: Mapping[str, str]) -> ConfigSection:
     return ConfigSection("wrench_sensors", (comment,), entries)
 
 
-def with_signs(section: ConfigSection, correlations: Mapping[str, float]) -> tuple[ConfigSection, tuple[TodoItem, ...]]:
+def with_signs(section: ConfigSection, signs: Mapping[str, int]) -> tuple[ConfigSection, tuple[TodoItem, ...]]:
     """The section with the signs as the logs tell them, and what they do not tell.
 
     Parameters
     ----------
     section
         From `wrench_sensors_section`.
-    correlations
-        By joint, from `force_correlations`.
+    signs
+        By joint, from `sensor_signs`.
     """
-    entries = []
-    unknown = []
-    for entry in section.value:
-        correlation = correlations.get(entry["joint"], 0.0)
-        entries.append({**entry, "sign": -1 if correlation < -MIN_CORRELATION else 1})
-        if abs(correlation) < MIN_CORRELATION:
-            unknown.append(entry["joint"])
+    entries = [{**entry, "sign": signs.get(entry["joint"], 1)} for entry in section.value]
+    unknown = [entry["joint"] for entry in entries if entry["joint"] not in signs]
     comment = "sign: 1 if a hanging load reads a force upward, else -1 (logs and the URDF's masses)."
     todo: tuple[TodoItem, ...] = ()
     if unknown:

@@ -28,7 +28,7 @@ def said(config: Callable[[dict[str, Any]], None] = lambda data: None, quick: bo
 def test_of_data_as_they_should_be_nothing_is_said() -> None:
     """But that a scale would tell what the torque does not."""
     (only,) = said(quick=False).splitlines()
-    assert only.startswith("the torque does not determine the mass of abad_link")
+    assert only.startswith("the logs do not determine the mass of abad_link")
     assert only.endswith("weigh the moving parts and set known.total_mass")
 
 

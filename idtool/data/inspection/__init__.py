@@ -21,6 +21,7 @@ from idtool.data.inspection.findings import all_findings, in_order
 from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.inspection.joint import inspect_joint
 from idtool.data.inspection.jumps import position_jumps
+from idtool.data.inspection.logged_sensors import logged_sensors
 from idtool.data.inspection.records import (
     FAULT_KINDS,
     FaultKind,
@@ -115,6 +116,7 @@ def _inspect(log: JointLog, config: Config) -> Inspection:
         segments=len(log.segments),
         stamps=stamps,
         joints=joints,
+        sensors=logged_sensors(log),
         findings=findings,
         reading=tuple(notice for notice in log.notices if notice not in findings),
     )

@@ -18,8 +18,16 @@ MAX_ROUNDING_NOISE = 0.02  # rounding noise over the signal's rms
 BAND_FACTOR = 5.0  # times the velocity's band: about what a fit's filter lets through
 
 
-def missing_channels(name: str, joint: InspectedJoint) -> Iterator[Notice]:
-    """Channels that the joint lacks."""
+def missing_channels(name: str, joint: InspectedJoint, has_wrench_sensor: bool = False) -> Iterator[Notice]:
+    """Channels that the joint lacks.
+
+    Parameters
+    ----------
+    name, joint
+        The joint.
+    has_wrench_sensor
+        True if the log has a force and a moment, which may stand in for the torque.
+    """
     if "q" not in joint.signals:
         meaning = "the joint cannot be used; name its column in `log.columns`, or leave it out of `joints`"
         yield Notice("missing_position", "problem", name, "q is missing", meaning)
@@ -29,6 +37,9 @@ def missing_channels(name: str, joint: InspectedJoint) -> Iterator[Notice]:
         if "qcmd" in joint.signals:
             meaning = "it is computed from the command: give the joint's gains under `controller`"
             yield Notice("torque_from_command", "note", name, "tau is missing, but qcmd is available", meaning)
+        elif has_wrench_sensor:
+            meaning = "a wrench sensor can replace it for the links that it carries: list it under `wrench_sensors`"
+            yield Notice("missing_torque", "warning", name, "tau is missing", meaning)
         else:
             meaning = "the joint cannot be identified; name the torque's column in `log.columns`, or log qcmd"
             yield Notice("missing_torque", "problem", name, "tau is missing", meaning)

@@ -13,6 +13,7 @@ from idtool.common.notice import SEVERITIES, Notice
 from idtool.data.inspection import time_findings
 from idtool.data.inspection.channel_findings import MAX_STALE_SHARE, MAX_STUCK_SHARE, channel_findings, missing_channels
 from idtool.data.inspection.frozen import frozen_channels
+from idtool.data.inspection.logged_sensors import logged_sensors
 from idtool.data.inspection.motion_findings import commanded_torque, motion_findings
 from idtool.data.inspection.records import FrozenStretches, InspectedJoint, Stamps
 from idtool.data.inspection.velocity_findings import (
@@ -50,9 +51,11 @@ def all_findings(log: JointLog, duration: float, stamps: Stamps, joints: Mapping
     findings += time_findings.short_segments(len(log.segments), stamps)
     exchanged = exchanged_velocities(log, joints) if in_seconds else {}
     frozen = frozen_channels(log, joints) if in_seconds else {name: {} for name in joints}
+    has_wrench_sensor = any(sensor.kind == "wrench" for sensor in logged_sensors(log))
     for name, joint in joints.items():
         is_needed = name not in log.unknown_torque
-        findings += [one for one in missing_channels(name, joint) if is_needed or one.code != "missing_torque"]
+        missing = missing_channels(name, joint, has_wrench_sensor)
+        findings += [one for one in missing if is_needed or one.code != "missing_torque"]
         findings += motion_findings(name, joint, frozen[name].get("q"), log.dt)
         findings += commanded_torque(name, joint)
         if name in exchanged:

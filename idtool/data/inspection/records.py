@@ -222,6 +222,31 @@ class InspectedJoint:
     torque: TorqueSource | None
 
 
+SensorKind = Literal["imu", "contact_flag", "force", "wrench", "other"]
+
+
+@dataclass(frozen=True)
+class LoggedSensor:
+    """A sensor of a log that is of no joint.
+
+    Attributes
+    ----------
+    name
+        Name of the sensor: of a force or a wrench, without the words of its channels.
+    kind
+        Its kind; a ``wrench`` is a force with a moment.
+    channels
+        Its channels.
+    rate_hz
+        Median rate of its values [Hz]; None with fewer than two values.
+    """
+
+    name: str
+    kind: SensorKind
+    channels: tuple[str, ...]
+    rate_hz: float | None
+
+
 @dataclass(frozen=True)
 class Inspection:
     """The contents of a log, and what is wrong with it.
@@ -246,6 +271,8 @@ class Inspection:
         The time stamps.
     joints
         By name, in the log's order.
+    sensors
+        The sensors that are of no joint.
     findings
         Problems first, then warnings, then notes; those with the same advice side by side.
     reading
@@ -261,6 +288,7 @@ class Inspection:
     segments: int
     stamps: Stamps
     joints: Mapping[str, InspectedJoint]
+    sensors: tuple[LoggedSensor, ...]
     findings: tuple[Notice, ...]
     reading: tuple[Notice, ...]
 

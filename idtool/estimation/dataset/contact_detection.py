@@ -5,6 +5,8 @@ F = −(J Jᵀ)⁻¹ J e, where e is the measured torque less that of the origin
 third too heavy, or friction that the URDF lacks, are worth a few hundredths of the robot's weight; more tells a
 contact. Near a posture in which J is singular, as with a straight leg, small errors of the torque make large forces:
 such samples say nothing against a flag.
+
+A contact on the base whose flag is ``auto``, such as a rope, is closed while no other contact carries the robot.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import binary_propagation
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import LogError
@@ -33,6 +36,7 @@ _MIN_UNFLAGGED_LOAD = 0.15  # of the weight, from which a force without a flag i
 _MAX_UNFLAGGED_SHARE = 0.02  # of the time, for such a load
 _MAX_UNLOADED_SHARE = 0.3  # of the time, for a flag that is always set while the leg carries no load
 _MIN_ALWAYS_SHARE = 0.98  # of the time, from which a flag is always set
+_MIN_CARRIED_SHARE = 0.3  # of the weight, from which feet whose forces are known carry the robot
 _MIN_LEG_JOINTS = 3  # that determine the force on a foot
 _MIN_CARRIED, _MAX_CARRIED = 0.5, 2.0  # of the weight, by the torque: beyond what wrong masses in a URDF account for
 _NO_LOAD = 0.1  # of the weight: the robot hangs from something that the configuration does not know
@@ -77,7 +81,7 @@ def with_detected_contacts(log: JointLog, model: RobotModel, config: Config) -> 
     model
         The tree of bodies, with the parameters of the URDF.
     config
-        The configuration, whose contacts with the flag ``auto`` are feet for `is_foot`.
+        The configuration, whose contacts with the flag ``auto`` are feet for `is_foot`, or on the base.
 
     Raises
     ------
@@ -86,24 +90,30 @@ def with_detected_contacts(log: JointLog, model: RobotModel, config: Config) -> 
     """
     flagged = [contact for contact in config.contacts if contact.flag is not None and is_foot(contact, model)]
     feet = [foot for foot in flagged if _torque_is_known(foot, log, model)]
-    if not feet:
-        return log
-    found = foot_loads(log, model, config, feet)
+    loads = foot_loads(log, model, config, feet) if feet else None
+    if loads is not None:
+        log = _with_detected_feet(log, loads)
+    supports = [contact for contact in config.contacts if is_support(contact, model)]
+    if supports:
+        log = _with_detected_supports(log, model, config, supports, loads)
+    torque_notice = _torque_notice(loads, log, model, config) if loads is not None else None
+    return log if torque_notice is None else replace(log, notices=(*log.notices, torque_notice))
+
+
+def _with_detected_feet(log: JointLog, loads: FootLoads) -> JointLog:
+    """The log with a flag for every foot whose flag is ``auto``, and with notices about all flags of feet."""
     channels = dict(log.channels)
     notices = []
     shares = []
-    for foot, load, is_reliable in zip(found.feet, found.load, found.is_reliable, strict=True):
+    for foot, load, is_reliable in zip(loads.feet, loads.load, loads.is_reliable, strict=True):
         if foot.has_automatic_flag:
             is_loaded = load > _MIN_CONTACT_LOAD
-            channels[str(foot.flag_channel)] = Channel(found.t, is_loaded.astype(float))
+            channels[str(foot.flag_channel)] = Channel(loads.t, is_loaded.astype(float))
             shares.append(f"{foot.name} for {100 * is_loaded.mean():.0f} %")
             continue
-        notice = _flag_notice(foot, log.channels[str(foot.flag_channel)], found.t, load, is_reliable)
+        notice = _flag_notice(foot, log.channels[str(foot.flag_channel)], loads.t, load, is_reliable)
         if notice is not None:
             notices.append(notice)
-    torque_notice = _torque_notice(found, log, model, config)
-    if torque_notice is not None:
-        notices.append(torque_notice)
     if shares:
         message = f"contacts were detected by the torque of the legs; they are closed {join_names(shares)} of the time"
         advice = "log the contact flags or the foot forces if the robot has them"
@@ -138,6 +148,59 @@ def _torque_notice(loads: FootLoads, log: JointLog, model: RobotModel, config: C
     return Notice("torque_scale", "warning", "tau", what, advice)
 
 
+def _with_detected_supports(
+    log: JointLog, model: RobotModel, config: Config, supports: Sequence[Contact], loads: FootLoads | None
+) -> JointLog:
+    """The log with a flag for every contact that holds the base while no other contact carries the robot."""
+    others = [contact for contact in config.contacts if contact not in supports]
+    carriers = flag_channels([contact for contact in others if not contact.has_automatic_flag], log)
+    carriers += measured_loads(others, log, model)
+    if loads is not None:
+        detected = [load for foot, load in zip(loads.feet, loads.load, strict=True) if foot.has_automatic_flag]
+        if detected:  # their sum, since errors of one leg may pass for a contact
+            is_carried = np.sum(detected, axis=0) > _MIN_CARRIED_SHARE
+            carriers.append(Channel(loads.t, is_carried.astype(float)))
+    t = np.concatenate([log.t[segment] for segment in log.segments])
+    channels = dict(log.channels)
+    notices = []
+    for support in supports:
+        is_held = ~is_any_set(carriers, t)
+        is_held_for_long = ~is_any_set(carriers, t, support.widen)
+        is_closed = binary_propagation(is_held_for_long, mask=is_held)  # not in steps and short flights
+        channels[str(support.flag_channel)] = Channel(t, is_closed.astype(float))
+        if is_closed.any():
+            share = f"{100 * is_closed.mean():.0f} % of the time"
+            message = f"contact {support.name} counts as closed while no other contact is: {share}"
+            notices.append(Notice("support_detected", "note", None, message))
+    return replace(log, channels=channels, notices=(*log.notices, *notices))
+
+
+def flag_channels(contacts: Sequence[Contact], log: JointLog) -> list[Channel]:
+    """Flags of the contacts that have one in a log."""
+    return [log.channels[contact.flag_channel] for contact in contacts if contact.flag_channel is not None]
+
+
+def measured_loads(contacts: Sequence[Contact], log: JointLog, model: RobotModel) -> list[Channel]:
+    """For each contact with a measured force and without a flag, where it carries a share of the robot's weight."""
+    channels = []
+    for contact in contacts:
+        if contact.force is None or contact.flag is not None:
+            continue
+        t = log.channels[contact.force[0]].t
+        force = np.stack([log.channels[name].at(t) for name in contact.force])
+        is_loaded = np.linalg.norm(force, axis=0) > _MIN_CONTACT_LOAD * _GRAVITY * model.mass
+        channels.append(Channel(t, is_loaded.astype(float)))
+    return channels
+
+
+def is_any_set(flags: Sequence[Channel], t: Array, widen: float = 0.0) -> Mask:
+    """True at times [s], shape (N,), at which one of some flags is set; ``widen`` as for `Channel.is_set`."""
+    is_set = np.zeros(len(t), dtype=bool)
+    for flag in flags:
+        is_set |= flag.is_set(t, widen)
+    return is_set
+
+
 def _torque_is_known(foot: Contact, log: JointLog, model: RobotModel) -> bool:
     """True if a log has the torque of all joints of a leg; LogError if it does not, but tells the foot's flag."""
     unknown = [name for name in _leg_joints(foot, model) if name in log.unknown_torque]
@@ -156,6 +219,11 @@ def _leg_joints(contact: Contact, model: RobotModel) -> list[str]:
 def is_foot(contact: Contact, model: RobotModel) -> bool:
     """True for a point on a link that at least three joints move, whose torque tells the force."""
     return contact.kind == "point" and len(_leg_joints(contact, model)) >= _MIN_LEG_JOINTS
+
+
+def is_support(contact: Contact, model: RobotModel) -> bool:
+    """True for a contact on the base whose flag is ``auto``: it is closed while no other contact carries the robot."""
+    return contact.has_automatic_flag and model.bodies[model.frames[contact.link].body].is_base
 
 
 def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[Contact]) -> FootLoads:

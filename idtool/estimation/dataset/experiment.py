@@ -30,7 +30,7 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
-from idtool.estimation.dataset.contact_detection import is_foot, with_detected_contacts
+from idtool.estimation.dataset.contact_detection import is_foot, is_support, with_detected_contacts
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.imu_delay import with_imu_delay
 from idtool.estimation.dataset.kinematic_checks import kinematic_notices
@@ -420,13 +420,21 @@ def signals_of(log: JointLog, model: RobotModel, config: Config, recording: str 
 
 
 def _check_detected_contacts(model: RobotModel, config: Config) -> None:
-    """Refuse to detect a contact by the torque of a leg that does not tell the force."""
+    """Refuse to detect a contact that neither the torque of its leg nor the other contacts tell."""
+    supports = [contact for contact in config.contacts if model.has_floating_base and is_support(contact, model)]
+    always_closed = [contact.name for contact in config.contacts if contact.flag is None and not contact.is_measured]
     for i, contact in enumerate(config.contacts):
-        if not contact.has_automatic_flag or (model.has_floating_base and is_foot(contact, model)):
+        key = f"contacts.{i}.flag: auto"
+        if contact in supports and always_closed:
+            what = f"needs a flag or a measured force of {join_names(always_closed)}, to tell when nothing else holds"
+            raise ConfigError(key, f"{what} the robot; give one, or leave out flag: auto")
+        if contact in supports or not contact.has_automatic_flag:
             continue
-        where = "points on links that at least three joints move" if model.has_floating_base else "a floating base"
-        what = f"is for {where}; name the channel of a flag, or leave it out"
-        raise ConfigError(f"contacts.{i}.flag: auto", what)
+        if not (model.has_floating_base and is_foot(contact, model)):
+            places = "the base, or points on links that at least three joints move"
+            where = places if model.has_floating_base else "a floating base"
+            what = f"is for {where}; name the channel of a flag, or leave it out"
+            raise ConfigError(key, what)
 
 
 def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> ContactModel | None:

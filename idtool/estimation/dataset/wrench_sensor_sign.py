@@ -1,4 +1,9 @@
-"""Checks the sign of wrench sensors by the URDF's bodies."""
+"""Checks the sign of wrench sensors by the URDF's bodies.
+
+The force of a sensor that carries bodies alone changes with theirs. That of one between the base and a contact, such
+as the ankle's, carries what the contact carries of the robot too. A floating base rests on its contacts, so that they
+push upward: against the weight of the bodies that the sensor carries.
+"""
 
 from __future__ import annotations
 
@@ -13,28 +18,28 @@ from idtool.robot.config import Config
 from idtool.robot.inverse_dynamics import inverse_dynamics
 from idtool.robot.model import RobotModel
 
-MIN_CORRELATION = 0.5  # of a force with that of the URDF's bodies, from which it tells the sign
+_MIN_CORRELATION = 0.5  # of a force with that of the URDF's bodies, from which it tells the sign
+_MIN_CARRIED_SHARE = 0.15  # of the robot's weight on a contact, from which it tells the sign
+_GRAVITY = 9.81  # m/s²
 
 
 def sign_notices(signals: Signals, model: RobotModel, config: Config) -> Iterator[Notice]:
-    """Notices about sensors whose force changes oppositely to that of the URDF's bodies.
+    """Notices about sensors whose force is opposite to what the URDF's bodies let expect.
 
     Parameters
     ----------
     signals, model, config
-        As for `force_correlations`.
+        As for `sensor_signs`.
     """
-    correlations = force_correlations(signals, model, config)
+    signs = sensor_signs(signals, model, config)
     for sensor in config.wrench_sensors:
-        if correlations.get(sensor.joint, 0.0) < -MIN_CORRELATION:
-            message = "its force changes oppositely to that of the URDF's bodies"
+        if signs.get(sensor.joint, sensor.sign) != sensor.sign:
+            message = "the force of this wrench sensor is opposite to that of the URDF's bodies"
             yield Notice("wrench_sensor_sign", "problem", sensor.joint, message, f"set sign: {-sensor.sign}")
 
 
-def force_correlations(signals: Signals, model: RobotModel, config: Config) -> dict[str, float]:
-    """By fixed joint, correlation of the changes of a sensor's force with those of the URDF's bodies.
-
-    A sensor between a contact and the base carries the contact's force too, and is left out.
+def sensor_signs(signals: Signals, model: RobotModel, config: Config) -> dict[str, int]:
+    """By fixed joint, sign of a sensor as a log tells it; without those of which it does not.
 
     Parameters
     ----------
@@ -45,9 +50,7 @@ def force_correlations(signals: Signals, model: RobotModel, config: Config) -> d
     config
         The configuration.
     """
-    if not config.wrench_sensors:
-        return {}
-    batch = next(iter(signals.batches()), None)
+    batch = next(iter(signals.batches()), None) if config.wrench_sensors else None
     if batch is None:
         return {}
     motion = batch.motion
@@ -55,13 +58,28 @@ def force_correlations(signals: Signals, model: RobotModel, config: Config) -> d
     by_urdf = inverse_dynamics(model, pi, motion.q, motion.v, motion.a)
     support = model.support()
     contact_bodies = [model.frames[contact.link].body for contact in config.contacts]
-    correlations = {}
+    signs = {}
     for i, sensor in enumerate(config.wrench_sensors):
         first = model.sensor_coordinates(i).start
         force = slice(first, first + 3)
+        measured, expected = motion.tau[force], by_urdf[force]
         if not support[contact_bodies, first].any():
-            correlations[sensor.joint] = _correlation(motion.tau[force], by_urdf[force])
-    return correlations
+            agreement = _correlation(measured, expected) / _MIN_CORRELATION
+        elif model.has_floating_base:
+            agreement = _carried_force(measured, expected) / (_MIN_CARRIED_SHARE * _GRAVITY * model.mass)
+        else:
+            continue
+        if abs(agreement) > 1:
+            signs[sensor.joint] = sensor.sign if agreement > 0 else -sensor.sign
+    return signs
+
+
+def _carried_force(measured: Array, by_bodies: Array) -> float:
+    """Mean force by which contacts carry the robot [N], against the direction of the bodies' force, (3, N) each."""
+    size = np.linalg.norm(by_bodies, axis=0)
+    is_known = size > 0
+    along_bodies = ((by_bodies - measured) * by_bodies).sum(axis=0)[is_known] / size[is_known]
+    return float(along_bodies.mean()) if is_known.any() else 0.0
 
 
 def _correlation(a: Array, b: Array) -> float:

@@ -167,6 +167,7 @@ def uncertainty_analysis(
     notices = (
         *_cluster_notices(robust, data),
         *_repeatability_notices(logs),
+        *_whole_mass_notice(uncertainty, experiment),
         *_mass_notices(parameters, experiment),
         *_bias_notices(bias, is_instrumental),
         *([_bias_unchecked(experiment)] if thorough and pair is None else []),
@@ -240,6 +241,18 @@ def _repeatability_notices(logs: Repeatability | None) -> list[Notice]:
     return [*notices, Notice("logs_disagree", "warning", None, message)]
 
 
+def _whole_mass_notice(uncertainty: Uncertainty, experiment: Experiment) -> Iterator[Notice]:
+    """Notice that unknown contact forces can carry any weight of a robot with a floating base."""
+    if not experiment.model.has_floating_base:
+        return
+    mass = np.zeros(len(experiment.equation.coefficients))
+    mass[: PI_SIZE * len(experiment.model.bodies) : PI_SIZE] = 1.0
+    if not uncertainty.directions.determines(mass[None]).all():
+        message = "the logs do not determine the robot's mass: contacts of unknown force can carry any weight"
+        advice = "give every contact a flag and log walking too, or weigh the robot and set known.total_mass"
+        yield Notice("mass_undetermined", "warning", None, message, advice)
+
+
 def _mass_notices(parameters: Identifiability | None, experiment: Experiment) -> Iterator[Notice]:
     """Masses that the torque does not tell, but a scale would."""
     if parameters is None or experiment.config.known.total_mass is not None:
@@ -248,7 +261,7 @@ def _mass_notices(parameters: Identifiability | None, experiment: Experiment) ->
     masses = parameters.sources[::PI_SIZE]
     unknown = [name for name, source in zip(names, masses, strict=True) if source.information_source == "prior"]
     if unknown:
-        message = f"the torque does not determine the mass of {join_names(unknown)}"
+        message = f"the logs do not determine the mass of {join_names(unknown)}"
         yield Notice("mass_undetermined", "warning", None, message, "weigh the moving parts and set known.total_mass")
 
 

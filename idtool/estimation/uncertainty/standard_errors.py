@@ -19,6 +19,7 @@ from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.uncertainty.base_parameters import without_rounding
 
 _RANK = 1e-9  # of the largest singular value of scaled columns: less is rounding
+_LEAST_EFFECT = 1e-4  # of a coefficient of typical size on all rows together, in units of their noise
 _UNOBSERVABLE_SHARE = 1e-6  # of a coefficient, squared, that may lie in unobservable directions
 CONFIDENCE = 0.95  # of intervals
 
@@ -169,6 +170,7 @@ def observable_directions(
 
     soft = equalities.soft_rows()[:, :p] / np.sqrt(independent_per_row)  # each is one independent row
     measured = without_rounding(np.concatenate(whitened_rows(model, reduction, noise)), model, _RANK)
+    measured = _without_negligible(measured, model)
     W = np.concatenate([soft, measured]) @ equalities.K
     size = np.linalg.norm(W, axis=0)
     size[size == 0] = 1.0
@@ -184,6 +186,17 @@ def observable_directions(
     return Directions(
         observable, directions[:, rank:], s[:rank], soft_in_y.T @ soft_in_y, independent_per_row, independent
     )
+
+
+def _without_negligible(whitened: Array, model: LinearModel) -> Array:
+    """Whitened rows with zeros in columns that are far below the noise, shape (rows, p).
+
+    Unknown contact forces that explain a column leave the rounding of their elimination of it.
+    """
+    scale = np.array([c.scale or 0.0 for c in model.coefficients])
+    effect = np.linalg.norm(whitened, axis=0) * scale
+    is_negligible = (effect < _LEAST_EFFECT) & (scale > 0)
+    return np.where(is_negligible, 0.0, whitened)
 
 
 def whitened_rows(model: LinearModel, reduction: Reduction, noise: Array) -> list[Array]:

@@ -85,6 +85,17 @@ class JointReport(Record):
     torque: TorqueSourceReport | None = field("Source of the torque; null if there is no torque or it is constant.")
 
 
+class SensorReport(Record):
+    """A sensor of a log that is of no joint."""
+
+    name: str = field("Name of the sensor.")
+    kind: Literal["imu", "contact_flag", "force", "wrench", "other"] = field(
+        "`imu`, `contact_flag`, `force`, `wrench` (a force with a moment) or `other`."
+    )
+    channels: tuple[str, ...] = field("Its channels.")
+    rate_hz: float | None = field("Median rate of its values [Hz]; null with fewer than two values.")
+
+
 class FindingReport(Record):
     """A fault or a notable property of a log."""
 
@@ -110,4 +121,5 @@ class InspectionReport(Result):
     segments: int = field("Number of segments without a gap.")
     stamps: StampsReport = field("The time stamps.")
     joints: Annotated[ReadOnly[JointReport], Keys("joint")] = field("The joints.")
+    sensors: tuple[SensorReport, ...] = field("The sensors that are of no joint.")
     findings: tuple[FindingReport, ...] = field("Problems first, then warnings, then notes.")

@@ -1,4 +1,4 @@
-"""The section of an inspection: the joints of a log."""
+"""The sections of an inspection: joints and sensors of a log."""
 
 from __future__ import annotations
 
@@ -52,4 +52,21 @@ class JointsSection(Section[InspectionReport]):
                 Cell(joint.torque.kind if joint.torque else NO_VALUE),
             ]
             rows.append(row)
+        return Table(self.title, columns, rows)
+
+
+class SensorsSection(Section[InspectionReport]):
+    """Sensors of a log that are of no joint."""
+
+    title = "Sensors"
+
+    @override
+    def table(self, report: InspectionReport) -> Table | None:
+        if not report.sensors:
+            return None
+        columns = [name_column("sensor"), Column("kind", kind="words"), Column("channels"), Column("rate", "Hz")]
+        rows = []
+        for sensor in report.sensors:
+            kind = Cell(sensor.kind.replace("_", " "))
+            rows.append([Cell(sensor.name), kind, Cell(str(len(sensor.channels))), number_cell(sensor.rate_hz)])
         return Table(self.title, columns, rows)

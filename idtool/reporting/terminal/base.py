@@ -63,8 +63,12 @@ class Terminal:
     def notices(self, notices: Sequence[NoticeReport]) -> None:
         """Print notices, and below those with the same advice, the advice."""
         for advice, alike in itertools.groupby(notices, key=lambda notice: notice.advice):
-            for notice in alike:
-                self.say(f"{notice.severity}: {notice.sentence}", STYLE[notice.severity])
+            for (severity, message), same in itertools.groupby(
+                alike, key=lambda notice: (notice.severity, notice.message)
+            ):
+                subjects = [notice.subject for notice in same if notice.subject]
+                sentence = f"{', '.join(subjects)}: {message}" if subjects else message
+                self.say(f"{severity}: {sentence}", STYLE[severity])
             if advice:
                 self.say(f"    {advice}")
 
@@ -79,6 +83,11 @@ class Terminal:
         restore_keyboard_interrupt()  # heavy modules are loaded
         with progress_bar(self.errors) as update:
             yield update
+
+
+def _kind_of(notice: NoticeReport) -> tuple[str, str]:
+    """Severity and message, which notices of several subjects may share."""
+    return notice.severity, notice.message
 
 
 def _console(quiet: bool, file: TextIO) -> Console:

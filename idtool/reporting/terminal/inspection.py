@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from idtool.reporting.results.inspection import InspectionReport
-from idtool.reporting.sections.inspection import JointsSection
+from idtool.reporting.sections.inspection import JointsSection, SensorsSection
 from idtool.reporting.terminal.base import Terminal
 
 
@@ -13,5 +13,5 @@ def show_inspection(terminal: Terminal, inspection: InspectionReport) -> None:
         f"{inspection.path}: {inspection.samples} samples, {inspection.duration:.2f} s at {inspection.rate_hz:.4g} Hz, "
         f"{inspection.segments} segment{'s' if inspection.segments != 1 else ''} without gaps"
     )
-    terminal.sections([JointsSection()], inspection)
+    terminal.sections([JointsSection(), SensorsSection()], inspection)
     terminal.notices(inspection.notices)

@@ -104,12 +104,13 @@ class Contact(ConfigRecord):
 
     A ``point`` takes a force, a ``surface`` a force and a moment. ``point`` is in the link's frame [m]; with a
     ``radius`` [m] it is the centre of a ball, whose lowest point is the contact. ``flag`` names the log's channel that
-    tells when it is closed; without one, it always is, and with ``auto`` the torque of the leg tells. A flag is widened
-    by ``widen`` [s] at both ends. ``force`` and ``moment`` name the channels of a measured wrench on the link, along
-    the axes of ``frame``, or with the ``sign`` −1 that of the link on what it touches; without them, the wrench is
-    unknown. With a fixed base, the world has the axes of the root link, and gravity tells which point of a ball is the
-    lowest. ``compliance`` is how far a ball gives way per force [m/N], the same for all balls of a robot with a
-    floating base, which a fit determines; a number is the first guess, and ``none`` a rigid ball.
+    tells when it is closed; without one, it always is. With ``auto`` the torque of the leg tells, and a contact on the
+    base is closed while no other is. A flag is widened by ``widen`` [s] at both ends. ``force`` and ``moment`` name the
+    channels of a measured wrench on the link, along the axes of ``frame``, or with the ``sign`` −1 that of the link on
+    what it touches; without them, the wrench is unknown. With a fixed base, the world has the axes of the root link,
+    and gravity tells which point of a ball is the lowest. ``compliance`` is how far a ball gives way per force [m/N],
+    the same for all balls of a robot with a floating base, which a fit determines; a number is the first guess, and
+    ``none`` a rigid ball.
     """
 
     name: Name
@@ -152,7 +153,7 @@ class Contact(ConfigRecord):
 
     @property
     def has_automatic_flag(self) -> bool:
-        """True if the torque of the leg tells when it is closed."""
+        """True if the torque of the leg, or the other contacts, tell when it is closed."""
         return self.flag == "auto"
 
     @property
