@@ -340,7 +340,10 @@ def _coefficient(fit: Fit, effect: str, owner: str) -> tuple[float, float | None
     i = _coefficient_index(fit, effect, owner)
     if i is None:
         return None
+    coefficient = fit.experiment.equation.coefficients[i]
     error = float(fit.uncertainty.standard_error[i])
+    if error > coefficient.upper - coefficient.lower:
+        error = math.inf  # the data say nothing within the range that it may have
     return float(fit.estimate.theta[i]), _finite_or_none(error)
 
 

@@ -35,19 +35,24 @@ def hang() -> Recording:
     return record(TRUTH, "hang", seconds=2.0, seed=0)
 
 
-def settings(flag: str | None) -> Config:
-    """Configuration in which all feet have a flag of one kind; None: their own."""
+def settings(flag: str | None, flag_of_rope: str | None = None) -> Config:
+    """Configuration in which all feet have a flag of one kind, and the rope has; None: their own."""
     content: dict[str, Any] = dict(parse_yaml(Path("quadruped.yaml"), config_text(TRUTH).encode()))
     if flag is not None:
         content["contacts"] = [
             {**contact, "flag": flag} if contact["kind"] == "point" else contact for contact in content["contacts"]
         ]
+    if flag_of_rope is not None:
+        (*feet, rope) = content["contacts"]
+        content["contacts"] = [*feet, {**rope, "flag": flag_of_rope}]
     return parse_config(content, "")
 
 
-def detected(folder: Path, recording: Recording, flag: str | None, **columns: np.ndarray) -> JointLog:
+def detected(
+    folder: Path, recording: Recording, flag: str | None, flag_of_rope: str | None = None, **columns: np.ndarray
+) -> JointLog:
     """Log of a recording with other columns, after the detection with the URDF whose masses are 10 to 30 % off."""
-    config = settings(flag)
+    config = settings(flag, flag_of_rope)
     write_csv(folder / "log.csv", Recording({**recording.columns, **columns}))
     (folder / "prior.urdf").write_text(urdf_text(prior_robot(TRUTH, 0)))
     model = build_model(read_robot(folder / "prior.urdf"), config, JOINTS)
@@ -72,6 +77,34 @@ def test_steps_are_detected(tmp_path: Path, walk: Recording) -> None:
 def test_legs_in_the_air_have_no_contact(tmp_path: Path, hang: Recording) -> None:
     log = detected(tmp_path, hang, "auto")
     assert all(log.channels[f"contact_{foot} (detected)"].x.mean() < 0.15 for foot in FEET)
+
+
+def test_support_is_closed_while_no_other_contact_is(tmp_path: Path, walk: Recording) -> None:
+    """Over the second half, in which the flags of all feet are off, and not in their short gaps before."""
+    t = walk.columns["t"]
+    flags = {}
+    for foot in FEET:
+        flag = np.ones(len(t))
+        flag[(t > 0.5) & (t < 0.6)] = 0.0
+        flag[t > 2.0] = 0.0
+        flags[f"contact_{foot}"] = flag
+    log = detected(tmp_path, walk, None, "auto", **flags)
+    support = log.channels["contact_rope (detected)"]
+    np.testing.assert_array_equal(support.x > 0.5, support.t > 2.0)
+    both = (support.t > 1.9) & (support.t < 2.1)  # closed on both sides of the change
+    feet = log.channels["contact_FL_foot"].is_set(support.t, widen=0.12)
+    assert np.all(support.is_set(support.t, widen=0.12)[both] & feet[both])
+    (notice,) = [one for one in log.notices if one.code == "support_detected"]
+    assert "contact rope counts as closed while no other contact is: 50 % of the time" in notice.message
+
+
+@pytest.mark.parametrize("flag", ["auto", None])
+def test_support_knows_the_feet_by_their_flags_or_their_legs(
+    tmp_path: Path, walk: Recording, hang: Recording, flag: str | None
+) -> None:
+    name = "contact_rope (detected)"
+    assert detected(tmp_path, walk, flag, "auto").channels[name].x.mean() == 0.0
+    assert detected(tmp_path, hang, flag, "auto").channels[name].x.mean() > 0.95
 
 
 def test_flags_that_do_not_fit_the_load_are_named(tmp_path: Path, walk: Recording, hang: Recording) -> None:

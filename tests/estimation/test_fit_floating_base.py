@@ -229,16 +229,43 @@ def test_what_contacts_leave_nothing_of_is_not_determined(folder: Path) -> None:
     """A rope that always holds the trunk, and nothing else: the weight is the rope's."""
     rope = {"name": "rope", "link": "trunk", "kind": "surface"}
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown", contacts=[rope]))
-    robot = idtool.fit(model, folder / "hang.csv", quick=True).whole_robot
+    result = idtool.fit(model, folder / "hang.csv", quick=True)
+    robot = result.whole_robot
     assert robot is not None
     assert robot.mass_standard_error is None
+    assert "the logs do not determine the robot's mass" in " ".join(result.warnings)
 
 
-@pytest.mark.parametrize("contact", [{"link": "trunk"}, {"link": "FL_foot", "kind": "surface"}])
+def test_what_rounding_alone_determines_has_no_standard_error(folder: Path) -> None:
+    """A rope that always holds the trunk, on the ground too: eliminating its force leaves 1e-11 of the weight."""
+    content = settings("unknown")
+    content["contacts"] = [
+        {key: value for key, value in contact.items() if contact["name"] != "rope" or key != "flag"}
+        for contact in content["contacts"]
+    ]
+    model = idtool.Model(folder / "prior.urdf", config=content)
+    result = idtool.fit(model, [folder / "stand.csv", folder / "hang.csv"], quick=True)
+    robot = result.whole_robot
+    assert robot is not None
+    assert robot.mass_standard_error is None
+    assert robot.com_standard_error == (None, None, None)
+    assert result.bodies["trunk"].standard_error == (None,) * 10
+    assert result.foot_compliance is not None
+    assert result.foot_compliance.standard_error is None
+
+
+@pytest.mark.parametrize("contact", [{"link": "FL_hip"}, {"link": "FL_foot", "kind": "surface"}])
 def test_only_legs_tell_their_contacts(folder: Path, contact: dict[str, str]) -> None:
     contacts = [{"name": "place", "flag": "auto", **contact}]
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown", contacts=contacts))
-    with pytest.raises(ConfigError, match="is for points on links that at least three joints move"):
+    with pytest.raises(ConfigError, match="is for the base, or points on links that at least three joints move"):
+        idtool.validate(model, folder / "hang.csv")
+
+
+def test_support_needs_to_know_when_the_other_contacts_are_closed(folder: Path) -> None:
+    contacts = [{"name": "support", "link": "trunk", "flag": "auto"}, {"name": "foot", "link": "FL_foot"}]
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown", contacts=contacts))
+    with pytest.raises(ConfigError, match="needs a flag or a measured force of foot"):
         idtool.validate(model, folder / "hang.csv")
 
 

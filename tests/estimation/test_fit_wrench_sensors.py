@@ -92,6 +92,14 @@ def test_sensor_with_the_opposite_sign_is_named(folder: Path, sign: int) -> None
     assert found == ([] if sign == 1 else [(SENSOR, "set sign: 1")])
 
 
+def test_message_about_one_of_several_logs_names_the_sensor(folder: Path) -> None:
+    model = idtool.Model(folder / "prior.urdf", config=settings(sign=-1))
+    logs = [folder / "arm.csv", folder / "without_torque.csv"]
+    notices = idtool.validate(model, logs, simulation=False).notices
+    (notice, _) = [one for one in notices if one.code == "wrench_sensor_sign"]
+    assert notice.sentence.startswith(f"arm.csv: {SENSOR}: the force of this wrench sensor is opposite")
+
+
 def test_joints_without_torque_are_left_out(folder: Path) -> None:
     """The sensor alone tells the bodies that it carries; those below it keep their prior."""
     model = idtool.Model(folder / "prior.urdf", config=settings())
@@ -104,6 +112,9 @@ def test_joints_without_torque_are_left_out(folder: Path) -> None:
     known = [error for name, error in rms.items() if error is not None and name != "overall"]
     assert rms["overall"] == pytest.approx(np.sqrt(np.mean(np.square(known))))
     assert "torque_unknown" in [notice.code for notice in result.notices]
+    for joint in JOINTS:
+        friction = result.friction[joint]
+        assert (friction.viscous, friction.coulomb, friction.offset) == (None, None, None)
 
 
 def test_torque_that_sensors_replace_is_no_fault_of_the_log(folder: Path, tmp_path: Path) -> None:
@@ -118,6 +129,17 @@ def test_torque_that_sensors_replace_is_no_fault_of_the_log(folder: Path, tmp_pa
     model = idtool.Model(folder / "arm.urdf", config=settings())
     diagnosis = idtool.diagnose(model, folder / "without_torque.csv", effects=["payload"])
     assert not diagnosis.data_faults
+
+
+def test_inspect_lists_the_sensors_that_replace_the_torque(folder: Path) -> None:
+    result = idtool.inspect(folder / "without_torque.csv")
+    (sensor,) = [one for one in result.sensors if one.name == SENSOR]
+    assert (sensor.kind, sensor.channels) == ("wrench", CHANNELS)
+    missing = [notice for notice in result.notices if notice.code == "missing_torque"]
+    assert [notice.subject for notice in missing] == list(JOINTS)
+    assert {(notice.severity, notice.advice) for notice in missing} == {
+        ("warning", "a wrench sensor can replace it for the links that it carries: list it under `wrench_sensors`")
+    }
 
 
 def test_notices_are_those_of_a_robot_with_sensors(folder: Path) -> None:

@@ -372,6 +372,12 @@ def test_the_command_that_distinguishes_two_effects_has_the_real_paths(found: Di
     )
 
 
+def test_one_motion_that_distinguishes_two_effects_is_named_once(found: Diagnosis) -> None:
+    pair = (replace(candidate("payload", joint=None), link=link) for link in ("thigh", "shank"))
+    text = distinguishing_experiment(*pair, found.last.experiment)
+    assert text.startswith("log quick and slow motion in many postures (payload); or")
+
+
 @pytest.mark.parametrize("report_only", [False, True])
 def test_the_next_command_has_the_folder_that_the_model_was_written_to(
     tmp_path: Path, asked: list[Asked], found: Diagnosis, monkeypatch: pytest.MonkeyPatch, report_only: bool

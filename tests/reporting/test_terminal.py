@@ -149,8 +149,7 @@ def test_notices_are_followed_by_their_advice_once_for_those_alike() -> None:
     assert said(lambda terminal: terminal.notices([lacking, *still, gap])).splitlines() == [
         "warning: panda_link3: no bounding ellipsoid",
         "    add one to the configuration",
-        "note: neck: held still at 0",
-        "note: jaw: held still at 0",
+        "note: neck, jaw: held still at 0",
         "    if it stood elsewhere, say where",
         "problem: mind the gap",
     ]

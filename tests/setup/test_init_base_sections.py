@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ground.humanoid import SIDES, sensor_joint, true_humanoid
 from ground.quadruped import JOINTS, true_quadruped
 from ground.robot import urdf_text
-from sensor_arm import CHANNELS, SENSOR
+from sensor_arm import CHANNELS, SENSOR, wrench_channels
 from sensor_arm import JOINTS as ARM_JOINTS
 from sensor_arm import urdf_text as arm_text
 
@@ -184,6 +185,29 @@ def test_a_wrench_sensor_between_links_is_found(robot_of: Read, name: str, chann
     log = log_with([own.replace(SENSOR, name) for own in CHANNELS], ARM_JOINTS)
     (sensor,) = proposed(robot_of(arm_text()), log).values()["wrench_sensors"]
     assert sensor == {"joint": SENSOR, **channel, "sign": 1, "offset": "fit"}
+
+
+@pytest.mark.parametrize("name", ["{side}_ankle_ft", "ft_{side}"])
+def test_a_sensor_in_the_ankle_is_no_contact(robot_of: Read, name: str) -> None:
+    """Though its name also tells the foot, which has a flag of its own."""
+    humanoid = true_humanoid(0)
+    text = urdf_text(humanoid)
+    for side in SIDES:
+        text = text.replace(f'"{sensor_joint(side)}"', f'"{side}_ankle_ft"')
+    names = [name.format(side=side) for side in SIDES]
+    flags = [f"contact_{side}_foot" for side in SIDES]
+    wrenches = [channel for sensor in names for channel in wrench_channels(sensor)]
+    values = proposed(robot_of(text), log_with([*IMU, *flags, *wrenches], humanoid.joints)).values()
+    assert [sensor["joint"] for sensor in values["wrench_sensors"]] == [f"{side}_ankle_ft" for side in SIDES]
+    assert [contact["flag"] for contact in values["contacts"]] == flags
+    assert not any("force" in contact for contact in values["contacts"])
+
+
+def test_a_link_with_a_flag_has_no_second_contact(robot_of: Read) -> None:
+    force = [f"force_left_front_{axis}" for axis in "xyz"]
+    sections = proposed(robot_of(QUADRUPED), log_with([*IMU, *FLAGS, *force]))
+    assert [contact["link"] for contact in sections.values()["contacts"]] == list(FEET)
+    assert "The measured force of left_front is not needed" in comments(sections, "contacts")
 
 
 def test_a_dead_wrench_sensor_and_one_without_moments_are_not_proposed(robot_of: Read) -> None:

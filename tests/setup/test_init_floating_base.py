@@ -86,9 +86,26 @@ def test_what_holds_the_robot_without_a_flag_is_found(
 ) -> None:
     logs = logs_of(tmp_path, recordings, "contact_", "force_")
     contacts = first_config(urdf, logs, NO_TRIALS).data["contacts"]
-    assert [contact.get("flag") for contact in contacts] == [*["auto"] * len(FEET), None]
-    assert contacts[-1] == {"name": "support", "link": "trunk", "kind": "surface"}
+    assert [contact["flag"] for contact in contacts] == ["auto"] * (len(FEET) + 1)
+    assert contacts[-1] == {"name": "support", "link": "trunk", "kind": "surface", "flag": "auto"}
     assert len(first_config(urdf, logs[:1], NO_TRIALS).data["contacts"]) == len(FEET)
+
+
+def test_mass_is_that_of_the_ground_logs_though_something_holds_the_robot_in_another(
+    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
+) -> None:
+    logs = logs_of(tmp_path, recordings, "contact_rope", "force_")
+    proposal = first_config(urdf, logs, {"friction": {"viscous": True, "coulomb": True}})
+    assert proposal.data["contacts"][-1]["flag"] == "auto"
+    assert not any(trial.kept for trial in proposal.trials if trial.effect == "time_delay")
+    result = idtool.fit(idtool.Model(urdf, config=proposal.data), logs, quick=True)
+    robot = result.whole_robot
+    assert robot is not None
+    assert robot.mass == pytest.approx(TRUTH.mass, rel=1e-2)
+    assert robot.mass_standard_error is not None
+    assert robot.mass_standard_error < 0.05 * TRUTH.mass
+    (note,) = [notice for notice in result.notices if notice.code == "support_detected"]
+    assert (note.subject, "100 %" in note.message) == ("hang.csv", True)
 
 
 def test_of_several_imus_the_one_in_all_logs_is_read(
