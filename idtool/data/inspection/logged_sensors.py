@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,34 +12,33 @@ from idtool.data.logs.sensor_channels import finite_samples, is_flag
 
 _WRENCH = re.compile(r"force_(.+)_(m?)[xyz]")
 _IMU = re.compile(r"imu_[qwa][wxyz]")
+_POSE = re.compile(r"base_(?:[xyz]|q[wxyz])")
+_KINDS: tuple[SensorKind, ...] = ("imu", "pose", "contact_flag", "force", "other")  # in the order of the list
 _WRENCH_SIZE = 6
 
 
 def logged_sensors(log: JointLog) -> tuple[LoggedSensor, ...]:
-    """The IMU, the contact flags and the sensors of force and moment of a log, in this order; other channels last."""
-    groups: dict[tuple[int, str], list[str]] = {}
+    """The IMU, the pose of the base, contact flags, and sensors of force and moment of a log; other channels last."""
+    groups: dict[tuple[SensorKind, str], list[str]] = {}
     for name in log.channels:
-        wrench = _WRENCH.fullmatch(name)
-        if _IMU.fullmatch(name):
-            key = (0, "imu")
-        elif is_flag(name):
-            key = (1, name)
-        elif wrench is not None:
-            key = (2, wrench[1])
-        else:
-            key = (3, name)
-        groups.setdefault(key, []).append(name)
+        groups.setdefault(_sensor_of(name), []).append(name)
     sensors = []
-    for (place, name), channels in sorted(groups.items(), key=lambda group: group[0][0]):
-        sensors.append(LoggedSensor(name, _kind(place, channels), tuple(channels), _rate(log, channels[0])))
+    for (kind, name), channels in sorted(groups.items(), key=lambda group: _KINDS.index(group[0][0])):
+        own_kind: SensorKind = "wrench" if kind == "force" and len(channels) == _WRENCH_SIZE else kind
+        sensors.append(LoggedSensor(name, own_kind, tuple(channels), _rate(log, channels[0])))
     return tuple(sensors)
 
 
-def _kind(place: int, channels: Sequence[str]) -> SensorKind:
-    if place == 2:
-        return "wrench" if len(channels) == _WRENCH_SIZE else "force"
-    kinds: tuple[SensorKind, ...] = ("imu", "contact_flag", "force", "other")
-    return kinds[place]
+def _sensor_of(channel: str) -> tuple[SensorKind, str]:
+    """Kind and name of the sensor that a channel belongs to."""
+    if _IMU.fullmatch(channel):
+        return "imu", "imu"
+    if _POSE.fullmatch(channel):
+        return "pose", "base"
+    if is_flag(channel):
+        return "contact_flag", channel
+    wrench = _WRENCH.fullmatch(channel)
+    return ("other", channel) if wrench is None else ("force", wrench[1])
 
 
 def _rate(log: JointLog, name: str) -> float | None:

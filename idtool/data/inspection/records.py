@@ -222,7 +222,7 @@ class InspectedJoint:
     torque: TorqueSource | None
 
 
-SensorKind = Literal["imu", "contact_flag", "force", "wrench", "other"]
+SensorKind = Literal["imu", "pose", "contact_flag", "force", "wrench", "other"]
 
 
 @dataclass(frozen=True)

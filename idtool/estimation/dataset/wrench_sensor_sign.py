@@ -58,7 +58,7 @@ def sensor_signs(signals: Signals, model: RobotModel, config: Config) -> dict[st
     by_urdf = inverse_dynamics(model, pi, motion.q, motion.v, motion.a)
     support = model.support()
     contact_bodies = [model.frames[contact.link].body for contact in config.contacts]
-    signs = {}
+    signs: dict[str, int] = {}
     for i, sensor in enumerate(config.wrench_sensors):
         first = model.sensor_coordinates(i).start
         force = slice(first, first + 3)

@@ -89,8 +89,8 @@ class SensorReport(Record):
     """A sensor of a log that is of no joint."""
 
     name: str = field("Name of the sensor.")
-    kind: Literal["imu", "contact_flag", "force", "wrench", "other"] = field(
-        "`imu`, `contact_flag`, `force`, `wrench` (a force with a moment) or `other`."
+    kind: Literal["imu", "pose", "contact_flag", "force", "wrench", "other"] = field(
+        "`imu`, `pose`, `contact_flag`, `force`, `wrench` (a force with a moment) or `other`."
     )
     channels: tuple[str, ...] = field("Its channels.")
     rate_hz: float | None = field("Median rate of its values [Hz]; null with fewer than two values.")
