@@ -20,9 +20,11 @@ import idtool
 from idtool.common.notice import Notice
 from idtool.common.safe_yaml import parse_yaml
 from idtool.diagnosis.data_faults import find_data_faults
+from idtool.estimation.dataset import foot_kinematics
 from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.dataset.foot_kinematics import FootMotion
-from idtool.estimation.dataset.foot_slip import FootSlip, SlipSearch
+from idtool.estimation.dataset.foot_slip import FootSlip, SlipSearch, slip_notices
+from idtool.estimation.dataset.kinematic_checks import kinematic_notices
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 
@@ -192,6 +194,31 @@ def test_feet_that_most_others_disagree_with_slip(
     velocities: dict[int, float], count: int, feet: list[tuple[str, ...]]
 ) -> None:
     assert [slip.feet for slip in slips(motion(velocities, count))] == feet
+
+
+def test_way_of_a_long_slip_is_written_without_an_exponent() -> None:
+    """A foot that is in the air for a minute moves by metres."""
+    (slip,) = slips(motion({1: 0.1}, 4, seconds=60.0))
+    (notice,) = slip_notices([slip])
+    way = re.search(r"(\d+) cm in all", notice.message)
+    assert way is not None
+    assert int(way[1]) == pytest.approx(600, rel=0.01)
+
+
+def test_slip_is_found_beside_a_stretch_of_one_sample(
+    tmp_path: Path, on_ice: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No velocity changes in it, and it has no sample time."""
+    urdf, log = write_robot(tmp_path, on_ice)
+    config = parse_config(parse_yaml(urdf.with_suffix(".yaml"), config_text(TRUTH).encode()), "")
+    experiment = prepare(read_robot(urdf), config, [log], holdout=0.0)
+    (run,) = experiment.runs
+    signals = run.signals
+    (samples,) = signals.ranges
+    last = 2 * signals.low_pass.edge + 1
+    monkeypatch.setattr(foot_kinematics, "_MAX_SECONDS", (samples.stop - samples.start - last) * signals.log.dt)
+    found = kinematic_notices(signals, experiment.model, experiment.config)
+    assert [(notice.code, notice.subject) for notice in found] == [("foot_slip", "FL_foot")]
 
 
 def test_share_way_and_windows_of_a_slip_follow_from_its_times() -> None:

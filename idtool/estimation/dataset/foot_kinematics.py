@@ -37,7 +37,7 @@ class FootMotion:
     Attributes
     ----------
     t
-        Times by the log's stamps [s], shape (N,), evenly spaced.
+        Times by the log's stamps [s], shape (N,), at least two, evenly spaced.
     by_joints
         Velocity of each point of contact by the joints alone, as if the base stood still, shape (feet, 3, N) [m/s].
     position
@@ -60,7 +60,7 @@ class FootMotion:
     @property
     def dt(self) -> float:
         """Time between samples [s]."""
-        return float(self.t[1] - self.t[0]) if len(self.t) > 1 else np.inf
+        return float(self.t[1] - self.t[0])
 
     @property
     def velocity(self) -> Array:
@@ -84,7 +84,7 @@ def flagged_feet(contacts: Sequence[Contact], model: RobotModel, log: JointLog) 
 def foot_motions(
     signals: Signals, model: RobotModel, feet: Sequence[Contact], pose: PoseSensors | None = None
 ) -> Iterator[FootMotion]:
-    """Motion of some feet in each stretch of a log.
+    """Motion of some feet in each stretch of a log that has more than one sample.
 
     Parameters
     ----------
@@ -102,16 +102,21 @@ def foot_motions(
     contact_model = ContactModel(model, points, noise=np.ones(len(model.joints)))
     for part in _short_parts(signals.ranges, round(_MAX_SECONDS / signals.log.dt)):
         pieces = [_motion_in_batch(batch, signals.log, model, feet, contact_model) for batch in signals.batches([part])]
-        if pieces:
-            t = np.concatenate([piece.t for piece in pieces])
-            yield FootMotion(
-                t=t,
-                by_joints=np.concatenate([piece.by_joints for piece in pieces], axis=-1),
-                position=np.concatenate([piece.position for piece in pieces], axis=-1),
-                angular_velocity=np.concatenate([piece.angular_velocity for piece in pieces], axis=-1),
-                is_closed=np.concatenate([piece.is_closed for piece in pieces], axis=-1),
-                base_velocity=None if pose is None else pose.linear_velocity(t),
-            )
+        if sum(len(piece.t) for piece in pieces) < 2:
+            continue
+        motion = _joined(pieces)
+        yield motion if pose is None else replace(motion, base_velocity=pose.linear_velocity(motion.t))
+
+
+def _joined(pieces: Sequence[FootMotion]) -> FootMotion:
+    """Motion in consecutive batches as one, without the base's velocity."""
+    return FootMotion(
+        t=np.concatenate([piece.t for piece in pieces]),
+        by_joints=np.concatenate([piece.by_joints for piece in pieces], axis=-1),
+        position=np.concatenate([piece.position for piece in pieces], axis=-1),
+        angular_velocity=np.concatenate([piece.angular_velocity for piece in pieces], axis=-1),
+        is_closed=np.concatenate([piece.is_closed for piece in pieces], axis=-1),
+    )
 
 
 def _short_parts(ranges: Sequence[slice], length: int) -> Iterator[slice]:
@@ -136,9 +141,9 @@ def _motion_in_batch(
     J = contact_model.unknown_directions(at_filtered_samples).reshape(len(feet), 3, len(q), count)
     base = model.base_coordinates
     base_to_foot = J[:, :, base][:, :, :3]  # which the velocity of the base's origin goes through
-    J = np.einsum("fijn,ficn->fjcn", base_to_foot, J)
-    by_joints = np.einsum("fjcn,cn->fjn", J[:, :, : model.joint_count], v[: model.joint_count])
-    by_turning = J[:, :, base][:, :, 3:]  # column k: unit vector k × position
+    J_in_base = np.einsum("fijn,ficn->fjcn", base_to_foot, J)
+    by_joints = np.einsum("fjcn,cn->fjn", J_in_base[:, :, : model.joint_count], v[: model.joint_count])
+    by_turning = J_in_base[:, :, base][:, :, 3:]  # column k: unit vector k × position
     position = np.stack([by_turning[:, 1, 2], by_turning[:, 2, 0], by_turning[:, 0, 1]], axis=1)
     t = log.start + batch.t
     is_closed = np.stack([_is_closed(foot, model, log, t) for foot in feet])

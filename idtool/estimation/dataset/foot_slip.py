@@ -2,9 +2,8 @@
 
 The points of contact of feet that do not slip move alike, relative to the base's origin. Of three feet and more, those
 that most others agree with stand; of two that disagree, one slips, and it can't be told which. With a pose of the base,
-every foot is compared with the ground. A foot also moves a
-little while its soft parts deform, by millimetres in all: it slips if it moves faster than that in a short time, or
-farther in a longer one.
+every foot is compared with the ground. A foot also moves a little while its soft parts deform, by millimetres in all:
+it slips if it moves faster than that in a short time, or farther in a longer one.
 
 Shapes: N samples.
 """
@@ -104,8 +103,9 @@ class SlipSearch:
     def __init__(self, names: Sequence[str], start: float) -> None:
         self._names = names
         self._start = start
-        self._checked = np.zeros((len(names), len(names)))  # time for which two feet, or one, were compared [s]
-        self._found: dict[tuple[int, ...], FootSlip] = {}
+        # entry (i, j): time for which feet i and j were both compared [s]
+        self._checked = np.zeros((len(names), len(names)))
+        self._slips: dict[tuple[int, ...], FootSlip] = {}
 
     def add(self, motion: FootMotion) -> None:
         """Add a stretch of the log."""
@@ -114,13 +114,13 @@ class SlipSearch:
             self._checked[i, j] += motion.dt * float((is_checked[i] & is_checked[j]).sum())
         for feet, speed in speeds.items():
             names = tuple(self._names[i] for i in feet)
-            slip = self._found.setdefault(feet, FootSlip(names, motion.dt))
+            slip = self._slips.setdefault(feet, FootSlip(names, motion.dt))
             slip.add(speed, motion.t - self._start)
 
     def slips(self) -> list[FootSlip]:
         """Feet that slip notably, those that are known first."""
         notable = []
-        for feet, slip in sorted(self._found.items(), key=lambda item: len(item[0])):
+        for feet, slip in sorted(self._slips.items(), key=lambda item: len(item[0])):
             slip.checked = float(self._checked[np.ix_(feet, feet)].min())
             if slip.is_notable:
                 notable.append(slip)
@@ -133,15 +133,19 @@ def slip_notices(slips: Sequence[FootSlip]) -> Iterator[Notice]:
         listed = [f"{begin:.2f} to {end:.2f} s" for begin, end in slip.windows[:_LISTED_WINDOWS]]
         if len(slip.windows) > len(listed):
             listed.append(f"and {len(slip.windows) - len(listed)} more")
-        how = (
-            f"{100 * slip.share:.0f} % of the time that it is on the ground, at {slip.median_speed:.2g} m/s in the "
-            f"median, {100 * slip.way:.2g} cm in all ({', '.join(listed)})"
-        )
-        message = f"it slips {how}"
+        share = f"{100 * slip.share:.0f} % of the time"
+        extent = f"at {slip.median_speed:.2g} m/s in the median, {_centimetres(slip.way)} in all ({', '.join(listed)})"
+        message = f"it slips {share} that it is on the ground, {extent}"
         if len(slip.feet) > 1:
-            how = how.replace("it is", "they are")
-            message = f"one of them slips {how}; with three feet on the ground, idtool could tell which"
+            message = f"one of them slips {share} that they are on the ground, {extent}"
+            message += "; with three feet on the ground, idtool could tell which"
         yield Notice("foot_slip", "warning", join_names(slip.feet), message, _ADVICE)
+
+
+def _centimetres(way: float) -> str:
+    """A way [m] in cm, with two digits below 10 cm."""
+    centimetres = 100 * way
+    return f"{centimetres:.0f} cm" if centimetres >= 10 else f"{centimetres:.2g} cm"
 
 
 def _compare_feet(motion: FootMotion) -> tuple[Mask, dict[tuple[int, ...], Array]]:
@@ -149,8 +153,8 @@ def _compare_feet(motion: FootMotion) -> tuple[Mask, dict[tuple[int, ...], Array
 
     Returns
     -------
-    True where a foot was compared with another, shape (feet, N); and by foot, or by feet of which one slips, the speed,
-    shape (N,) [m/s], not a number where it does not slip.
+    True where a foot was compared, shape (feet, N); and by foot, or by feet of which one slips, the speed, shape (N,)
+    [m/s], not a number where it does not slip.
     """
     velocity = motion.velocity
     is_checked = np.zeros(motion.is_closed.shape, dtype=bool)

@@ -138,25 +138,24 @@ def mount_notice(fit: GyroscopeFit, robot: Robot, base: Base, imu_to_base: Array
     if not fit.is_telling:
         return None
     configured = fit.explained(imu_to_base)
-    least = max(_MIN_EXPLAINED, configured + _MIN_MARGIN)
+    needed = max(_MIN_EXPLAINED, configured + _MIN_MARGIN)
     best = fit.best_rotation()
     if configured > _MIN_EXPLAINED:
         turn = Rotation.from_matrix(imu_to_base.T @ best)
         is_better = 1 - fit.explained(best) < _MAX_REMAINING * (1 - configured)
         return _turned_notice(turn, robot, base) if is_better and turn.magnitude() > _MIN_TURN else None
 
-    right_angles = sorted(
-        ((fit.explained(imu_to_base @ turn.as_matrix()), turn) for turn in Rotation.create_group("O")),
-        key=lambda pair: -pair[0],
-    )
-    (best_share, right_angle), (next_share, _) = right_angles[:2]
+    right_angles = Rotation.create_group("O")  # all turns that take the axes to axes
+    shares = np.array([fit.explained(imu_to_base @ turn.as_matrix()) for turn in right_angles])
+    next_index, best_index = np.argsort(shares)[-2:]
+    best_share, next_share = shares[best_index], shares[next_index]
     mirrored_share, axes = max((fit.explained(imu_to_base @ np.diag(signs)), axes) for axes, signs in _mirrors())
-    if not base.uses_pose and mirrored_share > least and 1 - mirrored_share < _MAX_REMAINING * (1 - best_share):
+    if not base.uses_pose and mirrored_share > needed and 1 - mirrored_share < _MAX_REMAINING * (1 - best_share):
         message = f"its gyroscope has the wrong sign about {axes}, as feet on the ground and joints tell"
         return Notice("imu_mount", "problem", "imu", message, "correct the sign when you log it")
-    if best_share > max(least, next_share + _MIN_MARGIN):
-        return _turned_notice(right_angle, robot, base)
-    if fit.explained(best) > max(least, best_share + _MIN_MARGIN):
+    if best_share > max(needed, next_share + _MIN_MARGIN):
+        return _turned_notice(right_angles[best_index], robot, base)
+    if fit.explained(best) > max(needed, best_share + _MIN_MARGIN):
         return _turned_notice(Rotation.from_matrix(imu_to_base.T @ best), robot, base)
     return None
 
@@ -196,7 +195,7 @@ def disagreement_notice(fit: GyroscopeFit, base: Base, imu_to_base: Array) -> No
 
 
 def _mirrors() -> Iterator[tuple[str, Array]]:
-    """Names of axes of which the sign is wrong, an odd number, and the signs of all axes, shape (3,)."""
+    """Names of the axes with a wrong sign, an odd number of them, and the signs of all axes, shape (3,)."""
     for signs in itertools.product((1.0, -1.0), repeat=3):
         if np.prod(signs) < 0:
             axes = [axis for axis, sign in zip("xyz", signs, strict=True) if sign < 0]

@@ -1,4 +1,4 @@
-"""Checks of a walking robot's log by kinematics alone: orientation of the IMU, and feet that slip."""
+"""Checks of a log of a robot on its feet by kinematics alone: orientation of the IMU, pose, and feet that slip."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ KINEMATIC_FAULTS = ("imu_mount", "foot_slip")
 
 
 def kinematic_notices(signals: Signals, model: RobotModel, config: Config) -> Iterator[Notice]:
-    """Notices about an IMU that is turned against its link, and about feet that slip.
+    """Notices about an IMU that is turned against its link, a pose that differs from it, and feet that slip.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def kinematic_notices(signals: Signals, model: RobotModel, config: Config) -> It
     model
         The tree of bodies.
     config
-        The configuration; there are none without a floating base.
+        The configuration; without a floating base, there are no notices.
     """
     if not model.has_floating_base:
         return
