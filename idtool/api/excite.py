@@ -195,14 +195,15 @@ def excite(
     else:
         given, held_notices = _held_at_base(model.settings, with_logs=bool(as_list(logs)))
     alternatives = None if decide is None else parse_alternatives(decide)
+    default_iterations = _STANDING_ITERATIONS if stand else _ITERATIONS
     options = DesignOptions(
         pattern=pattern,
         duration=duration,
         friction_share=slow,
         max_frequency=max_frequency,
-        iterations=iterations or (_STANDING_ITERATIONS if stand else _ITERATIONS),
+        iterations=default_iterations if iterations is None else iterations,
         seed=given.seed if seed is None else seed,
-        start=_expanded(start or {}, model.robot),
+        start=_start_by_joint(start or {}, model.robot, given),
         tip=tip,
     )
     paths = [Path(str(path)) for path in as_list(logs)]
@@ -289,12 +290,16 @@ def _check_standing(
     decide: tuple[str, str] | None,
 ) -> None:
     """Refuse options that do not go together with ``stand``, or need it, or are out of their range; ConfigError."""
-    given = {"--feet": bool(feet), "--friction-coefficient": friction_coefficient is not None}
-    given["--sole-size"] = sole_size is not None
-    for option, is_given in given.items():
+    only_standing = {
+        "--feet": bool(feet),
+        "--friction-coefficient": friction_coefficient is not None,
+        "--sole-size": sole_size is not None,
+    }
+    for option, is_given in only_standing.items():
         if is_given and not stand:
             raise ConfigError(option, "is for a robot that stands; add --stand")
-    for option, is_given in {"--tip": tip is not None, "--decide": decide is not None}.items():
+    never_standing = {"--tip": tip is not None, "--decide": decide is not None}
+    for option, is_given in never_standing.items():
         if is_given and stand:
             raise ConfigError(option, "is not for a robot that stands; leave out --stand")
     if friction_coefficient is not None and not _MIN_FRICTION <= friction_coefficient <= _MAX_FRICTION:
@@ -308,8 +313,8 @@ def _check_standing(
 def _standing(settings: Config) -> tuple[Config, tuple[Notice, ...]]:
     """Settings of a robot that stands, and a notice on what its trajectory depends on.
 
-    What a wrench sensor measures is left out: without it, a trajectory is expected to tell less than it does. Feet are
-    rigid: how far they give way depends on a torque that is not measured yet.
+    Wrench sensors are left out, so that the expected standard errors are too large with them. Feet are rigid: how far
+    they give way depends on a torque that is not measured yet.
     """
     if settings.base.kind == "fixed":
         raise ConfigError("--stand", "needs a floating base and contacts; set base: {kind: floating} and contacts")
@@ -323,17 +328,22 @@ def _standing(settings: Config) -> tuple[Config, tuple[Notice, ...]]:
     return settings.model_copy(update={"wrench_sensors": (), "contacts": rigid}), (notice,)
 
 
-def _expanded(start: Mapping[str, float], robot: Robot) -> dict[str, float]:
+def _start_by_joint(start: Mapping[str, float], robot: Robot, settings: Config) -> dict[str, float]:
     """Positions by joint, from those by joint or pattern of names; an exact name counts more than a pattern."""
-    joints = [joint.name for joint in robot.joints.values() if joint.kind != "fixed" and joint.mimic is None]
+    moving = [joint.name for joint in robot.joints.values() if joint.kind != "fixed" and joint.mimic is None]
+    joints = [name for name in moving if name not in settings.locked_joints]
     by_pattern: dict[str, float] = {}
+    by_name: dict[str, float] = {}
     for name, value in start.items():
-        if name not in joints and any(character in name for character in "*?"):
-            matches = fnmatch.filter(joints, name)
-            if not matches:
-                raise ConfigError("--start", f"{name} matches no moving joint; {suggestion(name, joints)}")
-            by_pattern |= dict.fromkeys(matches, value)
-    return by_pattern | {name: value for name, value in start.items() if not ({"*", "?"} & set(name))}
+        is_pattern = name not in joints and any(character in name for character in "*?")
+        if not is_pattern:
+            by_name[name] = value
+            continue
+        matches = fnmatch.filter(joints, name)
+        if not matches:
+            raise ConfigError("--start", f"{name} matches no moving joint; {suggestion(name, joints)}")
+        by_pattern |= dict.fromkeys(matches, value)
+    return by_pattern | by_name
 
 
 def _load_experiment(robot: Robot, settings: Config, logs: Sequence[Path], progress: Progress) -> Experiment | None:

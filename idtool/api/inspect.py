@@ -25,7 +25,7 @@ from idtool.reporting.results.inspection import InspectionReport
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import read_robot
 
-_ROBOT_FINDINGS = (  # those of a fit that an inspection of the log by itself does not have
+_ROBOT_FINDINGS = (  # codes of what `prepare` finds, and an inspection of the log alone does not
     "contact_always_closed",
     "contact_without_flag",
     "contacts_detected",
@@ -34,6 +34,8 @@ _ROBOT_FINDINGS = (  # those of a fit that an inspection of the log by itself do
     "imu_delay",
     "imu_mount",
     "pose_against_imu",
+    "torque_scale",
+    "torque_sign",
     "wrench_sensor_sign",
 )
 
@@ -73,8 +75,8 @@ def inspect(
     if settings.wrench_sensors:
         record = with_unknown_torque(record, settings.controller)
     inspection = inspect_log(record, settings)
-    of_robot = tuple(_robot_findings(record, settings, config, urdf))
-    inspection = replace(inspection, findings=in_order([*inspection.findings, *of_robot]))
+    findings = [*inspection.findings, *_robot_findings(record, settings, config, urdf)]
+    inspection = replace(inspection, findings=in_order(findings))
     return InspectionResult.from_result(inspection_report(inspection))
 
 
@@ -94,7 +96,7 @@ def _robot_findings(
         return
     try:
         yield from _experiment_notices(log, settings, beside)
-    except IdtoolError as error:  # the user did not ask for this
+    except IdtoolError as error:  # the user did not ask for this comparison
         yield Notice("not_compared_with_urdf", "note", None, f"the log was not compared with {beside.name}: {error}")
 
 

@@ -148,6 +148,13 @@ def test_inspection_compares_with_the_urdf_beside_the_configuration(tmp_path: Pa
         idtool.inspect(log, config=other, urdf=urdf)
 
 
+def test_inspection_names_torques_of_the_wrong_sign(tmp_path: Path, stand: Recording) -> None:
+    torques = {name: -x for name, x in stand.columns.items() if name.startswith("tau_")}
+    urdf, log = write_robot(tmp_path, Recording({**stand.columns, **torques}))
+    result = idtool.inspect(log, config=urdf.with_suffix(".yaml"))
+    assert ("torque_sign", "tau") in [(notice.code, notice.subject) for notice in result.notices]
+
+
 def test_slip_is_a_data_fault_and_named_with_its_log(tmp_path: Path, on_ice: Recording, stand: Recording) -> None:
     urdf, log = write_robot(tmp_path, on_ice)
     other = tmp_path / "rough.csv"

@@ -16,6 +16,7 @@ from ground.quadruped import FEET, JOINTS, true_quadruped
 from ground.robot import prior_robot, urdf_text
 
 import idtool as api
+from idtool.common.safe_yaml import parse_yaml
 from idtool.data.logs import read_log
 
 TRUTH = true_quadruped(0)
@@ -67,6 +68,18 @@ def test_page_and_terminal_show_the_feet(report: dict[str, Any]) -> None:
     page = Path(report["file"]).with_suffix(".html").read_text()
     assert "Feet on the ground" in page
     assert "tightest limit" in page
+
+
+@pytest.mark.parametrize("base_sensor", ["pose", "imu and pose"])
+def test_pose_of_the_base_may_be_configured(folder: Path, base_sensor: str) -> None:
+    """In place of an IMU or beside it: errors are predicted all the same."""
+    content = dict(parse_yaml(folder / "quadruped.yaml", config_text(TRUTH).encode()))
+    base = dict(content["base"])
+    if base_sensor == "pose":
+        del base["imu"]
+    model = api.Model(folder / "quadruped.urdf", config={**content, "base": {**base, "pose": {}}})
+    result = api.excite(model, stand=True, duration=3, slow=0.0, iterations=1, rate=100, noise=0.05)
+    assert result.base_parameters
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """`design_standing`: an exciting trajectory of a robot whose feet stay on the ground.
 
-As `design`, but what is designed is the motion of the independent coordinates: the base, and the joints of no leg.
+It differs from `design` in what moves freely: the independent coordinates, which are those of the base and the joints
+of no leg.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ _MIN_COARSE_RATE = 8.0  # Hz
 _SCALING_RATE = 50.0  # Hz, at which the scale of a segment is found
 _CHECK_RATE = 250.0  # Hz, at which the limits are checked
 _BLOCK = 2048  # samples
-_FIRST_STEP = 0.005  # by which the scale is reduced at first; each step is larger than the one before
+_FIRST_REDUCTION = 0.005  # of the scale, by the first step; that of each step is larger than that of the one before
 _STEPS = 30  # down to a scale of 0.1
 
 
@@ -232,15 +233,15 @@ def _blocks(
 
 
 def _scale_to_limits(task: StandingTask, segment: TrajectorySegment) -> TrajectorySegment:
-    """The segment, scaled about the stance by no more than it takes to be within all limits; ModelError if none is."""
+    """The segment, scaled about the stance until it is within all limits; ModelError if it never is."""
     share = 1.0
-    rates = [_SCALING_RATE, _CHECK_RATE]
+    rates = [_SCALING_RATE, _CHECK_RATE]  # the slow check is for what passes the fast one
     for k in range(_STEPS):
         shares = np.full(len(task.kinematics.independent), share)
         scaled = TrajectorySegment(segment.pattern, segment.pattern.scaled(segment.x, shares))
         if all(_is_within(task, scaled, rate) for rate in rates):
             return scaled
-        share *= 1 - _FIRST_STEP * (k + 1)
+        share *= 1 - _FIRST_REDUCTION * (k + 1)
     what = f"no {segment.pattern.name} motion from this stance keeps the feet on the ground within all limits"
     advice = "give another --start, a larger --friction-coefficient, or a smaller --clearance or --margin"
     raise ModelError(task.model.robot.path, f"{what}; {advice}")
@@ -267,7 +268,7 @@ def _check(task: StandingTask, trajectory: StandingTrajectory) -> tuple[Array, G
         If a limit is exceeded.
     """
     utilization = np.zeros((len(QUANTITIES), task.model.joint_count))
-    friction, lowest, pressure, base = [], [], [], []
+    friction, lowest_load, pressure, base = [], [], [], []
     shares: dict[str, float] = {}
     distinct = {id(segment): segment for segment in trajectory.segments}
     for segment in distinct.values():
@@ -275,7 +276,7 @@ def _check(task: StandingTask, trajectory: StandingTrajectory) -> tuple[Array, G
             used = task.robot_limits.utilization(*joint_samples(task, samples), loads.torque)
             utilization = np.maximum(utilization, used)
             friction.append(loads.ground.friction.max(axis=1))
-            lowest.append(loads.ground.normal.min(axis=1))
+            lowest_load.append(loads.ground.normal.min(axis=1))
             pressure.append(loads.ground.pressure.max(axis=1))
             for name, share in _limit_shares(task, samples, loads).items():
                 shares[name] = max(share, shares.get(name, 0.0))
@@ -287,7 +288,7 @@ def _check(task: StandingTask, trajectory: StandingTrajectory) -> tuple[Array, G
         feet=task.kinematics.feet.feet,
         friction_coefficient=task.friction_coefficient,
         friction=np.max(friction, axis=0),
-        lowest_load=np.min(lowest, axis=0),
+        lowest_load=np.min(lowest_load, axis=0),
         pressure=np.max(pressure, axis=0),
         base=np.stack([np.min(base, axis=0), np.max(base, axis=0)]),
         limit_shares=shares,
@@ -300,7 +301,8 @@ def _limit_shares(task: StandingTask, samples: StandingSamples, loads: Loads) ->
     shares: dict[str, float] = {}
     used = task.limits.utilization(*joint_samples(task, samples), loads.torque)
     for quantity, row in zip(QUANTITIES, used, strict=True):
-        shares |= {f"{quantity} of {name}": float(share) for name, share in zip(task.limits.joints, row, strict=True)}
+        for joint, share in zip(task.limits.joints, row, strict=True):
+            shares[f"{quantity} of {joint}"] = float(share)
     ground = task.robot.forces.limit_shares(loads.ground)
     for foot, load, friction, pressure in zip(
         task.kinematics.feet.feet, ground.normal, ground.friction, ground.pressure, strict=True
@@ -330,8 +332,11 @@ def _predicted_reduction(task: StandingTask, config: Config, trajectory: Standin
     samples = trajectory.standing_samples(t)
     torque = task.loads(samples, t).torque
     feet = tuple(foot.name for foot in task.kinematics.feet.feet)
-    log = predicted_log(task.model, config, feet, t, samples, torque)
-    signals = signals_of(log, task.model, config)
+    # without noise, an IMU tells of the base what a pose does
+    base_with_imu = config.base.model_copy(update={"pose": None})
+    settings = config.model_copy(update={"base": base_with_imu})
+    log = predicted_log(task.model, settings, feet, t, samples, torque)
+    signals = signals_of(log, task.model, settings)
     reduction = empty(task.equation.active())
     for batch in signals.batches():
         rows, shares = task.equation.counted_rows(batch)
