@@ -216,7 +216,7 @@ class ContactModel:
         motions = self._body_motions(motion)
         jacobians = body_jacobians(self.model, motions)
         torque = np.zeros_like(motion.tau)
-        first = 0  # component of the next unknown contact
+        first = 0  # index of the first component of the next unknown contact
         for i, contact in enumerate(self.contacts):
             body = self.model.frames[contact.link].body
             if contact.is_measured:

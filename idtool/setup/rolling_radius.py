@@ -11,19 +11,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
-from idtool.common.arrays import Array, Mask
+from idtool.common.arrays import Array
 from idtool.data.signals import Signals
 from idtool.estimation.dataset.experiment import Experiment
-from idtool.estimation.dataset.foot_kinematics import FootMotion, flagged_feet, foot_motions
+from idtool.estimation.dataset.foot_kinematics import flagged_feet, foot_motions, without_mean
 from idtool.estimation.dataset.foot_slip import SlipSearch
 from idtool.robot.config import Contact
 from idtool.robot.model import RobotModel
 
-_MARGIN = 0.3  # s, from touchdown to when a foot counts as standing, and before its lift-off: longer than a step's
+_MARGIN = 0.3  # s, after touchdown and before lift-off, in which a foot does not count as standing: steps are left out
 _AVERAGE = 0.2  # s
-_BLOCK = 0.5  # s, whose errors have nothing to do with each other's
+_BLOCK = 0.5  # s, after which errors are taken as independent
 _MIN_FEET = 3
 _MIN_SECONDS = 3.0
 _ERROR_BY_SOFT_FEET = 0.25  # of the radius: feet of 20 N/mm, which give way sideways, seem to be smaller by so much
@@ -46,7 +45,15 @@ class RollingRadius:
 
 @dataclass
 class _NormalEquation:
-    """Sums over blocks of the squares of x and of its products with −v, and the time that they are from [s]."""
+    """Normal equation of the radius, by blocks of time.
+
+    Attributes
+    ----------
+    xx, xy
+        Sums over each block of the squares of x and of its products with −v.
+    seconds
+        Time that they are from [s].
+    """
 
     xx: list[float] = field(default_factory=list)
     xy: list[float] = field(default_factory=list)
@@ -89,15 +96,16 @@ def _add_log(sums: _NormalEquation, signals: Signals, model: RobotModel, feet: S
     """Add a log to the sums; True if a foot slips in it."""
     search = SlipSearch([foot.name for foot in feet], signals.log.start)
     points = foot_motions(signals, model, _with_radius(feet, 0.0))
-    balls = foot_motions(signals, model, _with_radius(feet, 1.0))
+    balls = foot_motions(signals, model, _with_radius(feet, 1.0))  # of 1 m, as the velocity is linear in it
     for point, ball in zip(points, balls, strict=True):
         stands = point.settled(_MARGIN)
         stands &= stands.sum(axis=0) >= _MIN_FEET
         if not stands.any():
             continue
         search.add(point)
-        velocity = _less_mean(_average(point, point.velocity), stands)
-        per_radius = _less_mean(_average(point, ball.velocity - point.velocity), stands)
+        weights = stands.astype(float)
+        velocity = without_mean(point.average(point.velocity, _AVERAGE), weights)
+        per_radius = without_mean(point.average(ball.velocity - point.velocity, _AVERAGE), weights)
         block = max(round(_BLOCK / point.dt), 1)
         sums.xx += _block_sums(per_radius * per_radius, block)
         sums.xy += _block_sums(-per_radius * velocity, block)
@@ -107,17 +115,6 @@ def _add_log(sums: _NormalEquation, signals: Signals, model: RobotModel, feet: S
 
 def _with_radius(feet: Sequence[Contact], radius: float) -> list[Contact]:
     return [foot.model_copy(update={"radius": radius}) for foot in feet]
-
-
-def _average(motion: FootMotion, x: Array) -> Array:
-    return np.asarray(uniform_filter1d(x, max(round(_AVERAGE / motion.dt), 1), axis=-1))
-
-
-def _less_mean(x: Array, counts: Mask) -> Array:
-    """Velocities of the feet that count, shape (feet, 3, N), less their mean; 0 of others."""
-    w = counts[:, None].astype(float)
-    mean = (x * w).sum(axis=0) / np.maximum(w.sum(axis=0), 1.0)
-    return np.asarray((x - mean) * w)
 
 
 def _block_sums(x: Array, block: int) -> list[float]:

@@ -21,7 +21,7 @@ from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.effects.rigid_body import RigidBodies
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.config import Contact
-from idtool.robot.model import RobotModel
+from idtool.robot.model import WRENCH_SIZE, RobotModel
 
 EFFECT = "foot_compliance"
 OWNER = "feet"
@@ -30,13 +30,13 @@ _GRAVITY = 9.81  # m/s²
 _ARM = 0.3  # m, of a typical moment of the weight
 _JOINT_SHARE = 0.02  # of this moment, that the torque of a leg may be wrong by
 _BASE_SHARE = 0.2  # of the weight and its moment, that the masses may be wrong by
-_UNKNOWN = 1e3  # of the moment: a torque that was not logged
+_UNKNOWN_FACTOR = 1e3  # times as much noise, of a torque that was not logged
 _MAX_LOAD = 3.0  # weights on a ball: where a leg is straight, its torque does not tell the force
-_SUPPORTING = 2  # feet that carry the weight and give way by less than their radius
+_SUPPORTING_FEET = 2  # on which the weight makes the balls give way by less than their radius
 
 
 class FootCompliance(Effect):
-    """Compliance of the balls by which the feet of a robot with a floating base touch the ground, the same for all.
+    """Compliance of the balls on which a robot with a floating base stands, one value for all of them.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class FootCompliance(Effect):
     def __init__(self, model: RobotModel, contacts: Sequence[Contact], prior: float) -> None:
         weight = _GRAVITY * model.mass
         radii = [contact.radius for contact in contacts if contact.is_compliant]
-        largest = max(radii) / (weight / _SUPPORTING)
+        largest = max(radii) / (weight / _SUPPORTING_FEET)
         self.coefficients = (
             Coefficient(EFFECT, OWNER, "compliance", "m/N", prior, lower=0.0, upper=max(largest, prior)),
         )
@@ -59,10 +59,10 @@ class FootCompliance(Effect):
         self._bodies = RigidBodies(model)
         self._prior_bodies = np.array([coefficient.prior for coefficient in self._bodies.coefficients])
         self._noise = np.full(len(model.joints), _JOINT_SHARE * weight * _ARM)
-        for first in range(model.joint_count, len(model.joints), 6):
-            share = _BASE_SHARE if first == model.base_coordinates.start else _JOINT_SHARE
-            self._noise[first : first + 3] = share * weight
-            self._noise[first + 3 : first + 6] = share * weight * _ARM
+        for start in range(model.joint_count, len(model.joints), WRENCH_SIZE):  # of the sensors and of the base
+            share = _BASE_SHARE if start == model.base_coordinates.start else _JOINT_SHARE
+            self._noise[start : start + 3] = share * weight
+            self._noise[start + 3 : start + WRENCH_SIZE] = share * weight * _ARM
         self._contacts = ContactModel(model, tuple(contacts), self._noise)
         self._max_load = _MAX_LOAD * weight
 
@@ -72,7 +72,7 @@ class FootCompliance(Effect):
             row[0] = column
 
     def _column(self, motion: Motion) -> Array:
-        """Torque per compliance [m/N], shape (nv, N); kept if it can be."""
+        """Torque per compliance, shape (nv, N); kept for other motions along the same samples, if it can be."""
         kept = motion.kept_columns
         if kept is None or motion.contacts is None or not kept.are_along(motion.q, motion.v, motion.a):
             return self._evaluated_column(motion)
@@ -85,7 +85,7 @@ class FootCompliance(Effect):
         if motion.contacts is None:
             return np.zeros_like(motion.q)
         noise = self._noise.copy()
-        noise[list(motion.unknown_torque)] *= _UNKNOWN
+        noise[list(motion.unknown_torque)] *= _UNKNOWN_FACTOR
         contacts = self._contacts.with_noise(noise)
         rigid_torque = self._bodies.torque(self._prior_bodies, motion)
         residual = motion.tau + contacts.measured_force(motion) - rigid_torque

@@ -60,7 +60,8 @@ class RotorInertia(JointTerm):
     @override
     def trial_values(cls, summary: DataSummary, joint: int) -> Iterator[Mapping[str, float]]:
         is_revolute = summary.model.joints[joint].kind != "prismatic"
-        yield {"inverse_gear_ratio": 0.0} if summary.model.has_floating_base and is_revolute else {}
+        may_react_on_base = summary.model.has_floating_base and is_revolute
+        yield {"inverse_gear_ratio": 0.0} if may_react_on_base else {}
 
     @override
     def columns(self, motion: Motion, out: Sequence[Array]) -> None:
@@ -70,22 +71,25 @@ class RotorInertia(JointTerm):
             return
         for row in out:
             row[:] = 0.0
-        self._write_reaction(motion, out)
+        self._add_reaction(motion, out)
         own_row += self.column(motion)
 
-    def _write_reaction(self, motion: Motion, out: Sequence[Array]) -> None:
-        """Write what couples the rotor and its carrier, per unit of the reflected inertia."""
+    def _add_reaction(self, motion: Motion, out: Sequence[Array]) -> None:
+        """Add the torques that couple the rotor and its carrier, per unit of the reflected inertia."""
         motions = body_motions(self._model, motion.q, motion.v, motion.a)
         jacobian = body_jacobians(self._model, motions)[self._carrier]
         carrier = motions[self._carrier]
-        share = float(self.nonlinear_values["inverse_gear_ratio"])
+        inverse_ratio = float(self.nonlinear_values["inverse_gear_ratio"])
         axis = self._axis[:, None]
-        turning = motion.v[int(self.joint)] * cross(carrier.w, axis)
-        moment = self.column(motion) * axis + turning  # on the carrier
-        rows = np.einsum("ikn,in->kn", np.broadcast_to(jacobian.S_w, (*jacobian.S_w.shape[:2], len(motion.t))), moment)
+        count = len(motion.t)
+        gyroscopic = motion.v[int(self.joint)] * cross(carrier.w, axis)
+        moment = self.column(motion) * axis + gyroscopic  # on the carrier
+        S_w = np.broadcast_to(jacobian.S_w, (*jacobian.S_w.shape[:2], count))
+        rows = np.einsum("ikn,in->kn", S_w, moment)
         for coordinate, row in zip(jacobian.coordinates, rows, strict=True):
-            out[coordinate][0] += share * row
-        out[int(self.joint)][0] += share * (self._axis @ np.broadcast_to(carrier.alpha, (3, len(motion.t))))
+            out[coordinate][0] += inverse_ratio * row
+        alpha = np.broadcast_to(carrier.alpha, (3, count))
+        out[int(self.joint)][0] += inverse_ratio * (self._axis @ alpha)
 
     @override
     def column(self, motion: Motion) -> Array:

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_erosion
+from scipy.ndimage import binary_erosion, uniform_filter1d
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.base_sensors import PoseSensors
@@ -67,6 +67,10 @@ class FootMotion:
         """Velocity of each point of contact less that of the base's origin, shape (feet, 3, N) [m/s]."""
         return self.by_joints + np.cross(self.angular_velocity[None], self.position, axis=1)
 
+    def average(self, x: Array, window: float) -> Array:
+        """Moving average of samples, shape (…, N), over a window [s]."""
+        return np.asarray(uniform_filter1d(x, max(round(window / self.dt), 1), axis=-1))
+
     def settled(self, margin: float) -> Mask:
         """True where a foot has been on the ground for a time [s], and will be for as long; shape (feet, N).
 
@@ -74,6 +78,26 @@ class FootMotion:
         """
         samples = max(int(np.ceil(margin / self.dt)), 1)
         return np.stack([binary_erosion(is_closed, iterations=samples) for is_closed in self.is_closed])
+
+
+def without_mean(x: Array, weights: Array) -> Array:
+    """Vectors of the feet less their mean over those with the weight 1; 0 for those with the weight 0.
+
+    Parameters
+    ----------
+    x
+        Shape (feet, …, N).
+    weights
+        0 or 1, shape (feet, N).
+
+    Returns
+    -------
+    The same shape as x.
+    """
+    axes_between = (1,) * (x.ndim - 2)
+    w = weights.reshape(len(weights), *axes_between, -1)
+    mean = (x * w).sum(axis=0) / np.maximum(w.sum(axis=0), 1.0)
+    return np.asarray((x - mean) * w)
 
 
 def flagged_feet(contacts: Sequence[Contact], model: RobotModel, log: JointLog) -> tuple[Contact, ...]:

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.ndimage import binary_opening, uniform_filter1d
+from scipy.ndimage import binary_opening
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.names import join_names
@@ -160,12 +160,11 @@ def _compare_feet(motion: FootMotion) -> tuple[Mask, dict[tuple[int, ...], Array
     is_checked = np.zeros(motion.is_closed.shape, dtype=bool)
     speeds: dict[tuple[int, ...], Array] = {}
     for window, least_speed in _WINDOWS:
-        samples = max(round(window / motion.dt), 1)
-        mean = uniform_filter1d(velocity, samples, axis=-1)
+        mean = motion.average(velocity, window)
         is_settled = motion.settled(_CONTACT_EDGE + window / 2)
         if motion.base_velocity is not None:
             is_checked |= is_settled
-            mean_of_base = uniform_filter1d(motion.base_velocity, samples, axis=-1)
+            mean_of_base = motion.average(motion.base_velocity, window)
             speed = np.linalg.norm(mean + mean_of_base, axis=1)
             for foot, is_slipping in enumerate(is_settled & (speed > least_speed)):
                 own = np.where(is_slipping, speed[foot], np.nan)

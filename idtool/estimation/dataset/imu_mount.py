@@ -15,13 +15,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
-from idtool.estimation.dataset.foot_kinematics import FootMotion
+from idtool.estimation.dataset.foot_kinematics import FootMotion, without_mean
 from idtool.robot.config import Base
 from idtool.robot.inertia import skew
 from idtool.robot.urdf.reading import Robot
@@ -102,16 +101,15 @@ def fit_gyroscope(motion: FootMotion, imu_to_base: Array) -> GyroscopeFit:
     imu_to_base
         Rotation of the IMU's axes to those of the base as configured, shape (3, 3).
     """
-    samples = max(round(_AVERAGE / motion.dt), 1)
     is_settled = motion.settled(_CONTACT_EDGE)
     weights = is_settled * (is_settled.sum(axis=0) > 1.0)
-    by_joints = uniform_filter1d(motion.by_joints, samples, axis=-1)
-    g = imu_to_base.T @ uniform_filter1d(motion.angular_velocity, samples, axis=-1)
+    by_joints = motion.average(motion.by_joints, _AVERAGE)
+    g = imu_to_base.T @ motion.average(motion.angular_velocity, _AVERAGE)
     # entry (i, j) of M contributes g_j (unit vector i × p) to (M g) × p
     of_rows = np.stack([_cross_unit(i, motion.position) for i in range(3)], axis=1)  # (feet, 3, 3, N)
     columns = np.einsum("fidn,jn->fijdn", of_rows, g).reshape(len(by_joints), 9, 3, -1)
-    columns = _less_mean(columns, weights)
-    target = -_less_mean(by_joints[:, None], weights)[:, 0]
+    columns = without_mean(columns, weights)
+    target = -without_mean(by_joints, weights)
     return GyroscopeFit(
         A=np.einsum("fpdn,fqdn->pq", columns, columns, optimize=True),
         b=np.einsum("fpdn,fdn->p", columns, target, optimize=True),
@@ -232,13 +230,6 @@ def _rpy(R: Array) -> str:
         warnings.simplefilter("ignore", UserWarning)  # at a pitch of 90°, many angles give the same rotation
         angles = Rotation.from_matrix(R).as_euler("xyz")
     return " ".join(f"{angle + 0.0:.4g}" for angle in np.round(angles, 4))
-
-
-def _less_mean(x: Array, weights: Array) -> Array:
-    """Vectors of the feet that count, shape (feet, k, 3, N), less their mean; 0 of others. Weights: (feet, N)."""
-    w = weights[:, None, None]
-    mean = (x * w).sum(axis=0) / np.maximum(w.sum(axis=0), 1.0)
-    return np.asarray((x - mean) * w)
 
 
 def _cross_unit(i: int, position: Array) -> Array:
