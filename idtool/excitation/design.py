@@ -188,12 +188,7 @@ def design(
     first, interrupted = search(objective, options.iterations, rng, progress)
 
     progress("checking the limits", 0.0)
-    best = first if objective.best is None else objective.best
-    random_segment = scale_to_limits(task, TrajectorySegment(pattern, first))
-    best_segment = scale_to_limits(task, TrajectorySegment(pattern, best))
-    segment = min(
-        random_segment, best_segment, key=lambda option: task.criterion.value(objective.information(option.x))
-    )
+    random_segment, segment = scaled_segments(task, objective, first, scale)
     trajectory = Trajectory((segment,) * repeats + segments)
 
     progress("predicting the standard errors", 0.0)
@@ -323,6 +318,35 @@ def friction_segments(
     return tuple(segments), remaining
 
 
+def scaled_segments(
+    task: DesignTask,
+    objective: SearchObjective,
+    first: Array,
+    scale: Callable[[TrajectorySegment], TrajectorySegment],
+) -> tuple[TrajectorySegment, TrajectorySegment]:
+    """The first motion that was drawn, and the better one of it and the best one found, both scaled to the limits.
+
+    Parameters
+    ----------
+    task
+        The criterion by which motions are compared.
+    objective
+        The objective after the search.
+    first
+        Parameters of the first motion.
+    scale
+        Scales a segment to the limits.
+    """
+    best = first if objective.best is None else objective.best
+    random_segment = scale(TrajectorySegment(objective.pattern, first))
+    best_segment = scale(TrajectorySegment(objective.pattern, best))
+
+    def criterion(segment: TrajectorySegment) -> float:
+        return task.criterion.value(objective.information(segment.x))
+
+    return random_segment, min(random_segment, best_segment, key=criterion)
+
+
 class SearchObjective(Protocol):
     """What a search minimizes; see `Objective`."""
 
@@ -332,6 +356,10 @@ class SearchObjective(Protocol):
 
     def __call__(self, x: Array) -> tuple[float, Array]:
         """Value, and gradient with respect to x."""
+        ...
+
+    def information(self, x: Array) -> Array:
+        """Information of a motion on the base parameters in units of their scales, shape (r, r)."""
         ...
 
     def collision_times(self, x: Array) -> Array:

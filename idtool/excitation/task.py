@@ -140,9 +140,7 @@ def make_design_task(
     ConfigError
         If limits contradict each other, or a name is not known.
     """
-    for name in noise:
-        if name not in model.names:
-            raise ConfigError("--noise", f"{name} is not a moving joint; {suggestion(name, model.names)}")
+    check_noise_names(model, noise)
     full = joint_limits(model, config)
     limits = full.with_margin(margin)
     base = structural_base_parameters(model, equation, equalities)
@@ -167,6 +165,13 @@ def make_design_task(
         independent_rate=independent_rate(config, rate),
         criterion=DesignCriterion(criterion, favoured_indices(favour, base, equation)),
     )
+
+
+def check_noise_names(model: RobotModel, noise: Mapping[str, float]) -> None:
+    """Raise ConfigError if noise is given for a row that the model does not have."""
+    for name in noise:
+        if name not in model.names:
+            raise ConfigError("--noise", f"{name} is not a moving joint; {suggestion(name, model.names)}")
 
 
 def independent_rate(config: Config, rate: float) -> float:

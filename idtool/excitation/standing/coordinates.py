@@ -49,10 +49,10 @@ def coordinate_limits(robot: StandingRobot, kinematics: StandingKinematics, sole
         down, up = _excursions(robot, kinematics, soles, i, largest)
         lower[i], upper[i] = home[i] - down, home[i] + up
 
-        share = np.abs(tangents[:n, i])
-        moved = share > 0
-        velocity[i] = (robot.limits.velocity[moved] / share[moved]).min()
-        by_joints = (robot.limits.acceleration[moved] / share[moved]).min()
+        per_unit = np.abs(tangents[:n, i])  # motion of the joints
+        moves = per_unit > 0
+        velocity[i] = (robot.limits.velocity[moves] / per_unit[moves]).min()
+        by_joints = (robot.limits.acceleration[moves] / per_unit[moves]).min()
         acceleration[i] = _acceleration(robot, kinematics, soles, i, min(by_joints, max_acceleration))
     effort = np.full(len(home), np.inf)
     return Limits(kinematics.coordinates, lower, upper, velocity, acceleration, effort)
@@ -68,21 +68,20 @@ def _tangents(kinematics: StandingKinematics) -> Array:
 def _excursions(
     robot: StandingRobot, kinematics: StandingKinematics, soles: list[Array], coordinate: int, largest: Array
 ) -> tuple[float, float]:
-    """How far a coordinate may go down and up with the robot at rest, largest values, shape (2,)."""
-    found = []
+    """Excursions of a coordinate down and up that the robot can hold at rest, up to the largest ones, shape (2,)."""
+    excursions = []
     for sign, most in zip((-1.0, 1.0), largest, strict=True):
         steps = np.linspace(0, 1, _STEPS + 1)[1:] * most
         u = np.repeat(kinematics.home[:, None], _STEPS, axis=1)
         u[coordinate] += sign * steps
         w, is_reached = kinematics.configurations(u)
         q = w[: len(robot.limits.joints)]
-        turned = kinematics.base_to_world(w)
-        loads = robot.static_loads(q, turned, soles)
+        loads = robot.static_loads(q, kinematics.base_to_world(w), soles)
         is_within = (q > robot.limits.lower[:, None]) & (q < robot.limits.upper[:, None])
         feasible = is_reached & is_within.all(axis=0) & _is_feasible(robot, loads)
-        count = _STEPS if feasible.all() else int(np.argmin(feasible))
-        found.append(max(count / _STEPS, _MIN_SHARE) * most)
-    return found[0], found[1]
+        feasible_steps = _STEPS if feasible.all() else int(np.argmin(feasible))
+        excursions.append(max(feasible_steps / _STEPS, _MIN_SHARE) * most)
+    return excursions[0], excursions[1]
 
 
 def _acceleration(
@@ -101,8 +100,8 @@ def _acceleration(
     required = robot.equation.torque(motion, robot.theta)
     loads = robot.loads(required, kinematics.foot_jacobian(samples.w), soles)
     feasible = _is_feasible(robot, loads).reshape(2, _STEPS).all(axis=0)
-    found = _STEPS if feasible.all() else int(np.argmin(feasible))
-    return max(found / _STEPS, _MIN_SHARE) * largest
+    feasible_steps = _STEPS if feasible.all() else int(np.argmin(feasible))
+    return max(feasible_steps / _STEPS, _MIN_SHARE) * largest
 
 
 def _is_feasible(robot: StandingRobot, loads: Loads) -> Mask:

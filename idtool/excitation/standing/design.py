@@ -26,6 +26,7 @@ from idtool.excitation.design import (
     friction_segments,
     logged_rows_of,
     max_frequency,
+    scaled_segments,
     search,
 )
 from idtool.excitation.limits import QUANTITIES
@@ -187,12 +188,7 @@ def design_standing(
     first, interrupted = search(objective, options.iterations, rng, progress)
 
     progress("checking the limits", 0.0)
-    best = first if objective.best is None else objective.best
-    random_segment = scale(TrajectorySegment(pattern, first))
-    best_segment = scale(TrajectorySegment(pattern, best))
-    segment = min(
-        random_segment, best_segment, key=lambda option: task.criterion.value(objective.information(option.x))
-    )
+    random_segment, segment = scaled_segments(task, objective, first, scale)
     trajectory = StandingTrajectory((segment,) * repeats + segments, task.kinematics)
     utilization, ground = _check(task, trajectory)
 

@@ -40,8 +40,9 @@ from idtool.robot.model import RobotModel
 
 BASE_MOTION = ("base_x", "base_y", "base_z", "base_roll", "base_pitch", "base_yaw")
 GRAVITY = 9.81  # m/s²
-_BASE = len(BASE_MOTION)
-_INDEPENDENT = 0.03  # of a unit of a coordinate: share that the others and the constraints leave of it, at least
+_BASE_SIZE = len(BASE_MOTION)
+_MIN_INDEPENDENT_SHARE = 0.03  # of a unit of an independent coordinate, that constraints and other coordinates leave
+_MIN_SINGULAR_RATIO = 0.003  # smallest over largest singular value of independent constraints
 _MAX_ITERATIONS = 20
 _TOLERANCE = 1e-12  # m and rad, of the constraints
 _MAX_STEP = 0.5  # m and rad, of an iteration
@@ -212,7 +213,7 @@ class StandingKinematics:
         self.model = feet.model
         self.stance = stance
         self._joints = feet.model.joint_count
-        self.w0: Array = np.concatenate([stance.q, np.zeros(_BASE)])
+        self.w0: Array = np.concatenate([stance.q, np.zeros(_BASE_SIZE)])
         poses = self._foot_poses(self.w0[:, None])
         self._places = [(center[0], R[0]) for _, center, R in poses]
         self.independent: Indices = self._find_independent()
@@ -318,6 +319,7 @@ class StandingKinematics:
         dependent = C[:, :, self._dependent]
 
         def completed(right: Array, of_independent: float) -> Array:
+            """Tangent whose part of the independent coordinates is the identity times a number."""
             tangent = np.zeros((len(C), C.shape[2], len(self.independent)))
             tangent[:, self.independent, np.arange(len(self.independent))] = of_independent
             tangent[:, self._dependent] = -_least_squares(dependent, right)
@@ -370,7 +372,7 @@ class StandingKinematics:
         poses = zip(self.feet.feet, self._foot_poses(w), self._places, strict=True)
         for foot, (pose, center, R), (first, R_0) in poses:
             lever = (R_base @ pose.p[:, :, None])[:, :, 0]
-            linear = np.zeros((count, 3, n + _BASE))
+            linear = np.zeros((count, 3, n + _BASE_SIZE))
             linear[:, :, :n] = R_base @ pose.linear
             linear[:, :, n : n + 3] = np.eye(3)
             linear[:, :, n + 3 :] = -skew_matrices(lever) @ to_turn
@@ -381,7 +383,7 @@ class StandingKinematics:
                 jacobian_rows.append(linear)
                 continue
             phi = Rotation.from_matrix(R @ R_0.T).as_rotvec()
-            angular = np.zeros((count, 3, n + _BASE))
+            angular = np.zeros((count, 3, n + _BASE_SIZE))
             angular[:, :, :n] = R_base @ pose.angular
             angular[:, :, n + 3 :] = to_turn
             turn = angular_velocity_to_rate(phi) @ angular
@@ -402,21 +404,21 @@ class StandingKinematics:
         """Indices in w of coordinates that determine all others at the stance, the base's first."""
         _, C = self._constraints(self.w0[:, None])
         _, s, Vt = np.linalg.svd(C[0])
-        rank = int(np.count_nonzero(s > _INDEPENDENT * s[0] * 0.1))
-        known = Vt[:rank]  # directions that the constraints take
+        rank = int(np.count_nonzero(s > _MIN_SINGULAR_RATIO * s[0]))
+        taken = Vt[:rank]  # orthonormal directions that the constraints take, and then the coordinates chosen so far
         n = self._joints
-        supports = np.abs(C[0, :, :n]).max(axis=0) > 0
-        order = [*range(n, n + _BASE), *np.flatnonzero(~supports), *np.flatnonzero(supports)]
+        moves_feet = np.abs(C[0, :, :n]).max(axis=0) > 0
+        order = [*range(n, n + _BASE_SIZE), *np.flatnonzero(~moves_feet), *np.flatnonzero(moves_feet)]
         independent: list[int] = []
         for i in order:
-            unit = np.zeros(n + _BASE)
+            unit = np.zeros(n + _BASE_SIZE)
             unit[i] = 1.0
-            rest = unit - known.T @ (known @ unit)
+            rest = unit - taken.T @ (taken @ unit)
             size = float(np.linalg.norm(rest))
-            if size > _INDEPENDENT:
+            if size > _MIN_INDEPENDENT_SHARE:
                 independent.append(int(i))
-                known = np.vstack([known, rest / size])
-            if len(known) == n + _BASE:
+                taken = np.vstack([taken, rest / size])
+            if len(taken) == n + _BASE_SIZE:
                 break
         return np.array(sorted(independent, key=order.index), dtype=np.intp)
 

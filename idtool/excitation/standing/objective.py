@@ -37,6 +37,10 @@ class StandingObjective:
         Number of motions evaluated.
     penalty_weight
         Weight of the penalties.
+    sign_width
+        Velocity over which sign(v) is smoothed, shape (nv,) [rad/s or m/s].
+    selections
+        See `StandingTask.base_selections`.
 
     Parameters
     ----------
@@ -63,11 +67,11 @@ class StandingObjective:
         self.evaluations = 0
         self._other_information = information + RIDGE * np.eye(len(information))
         n = task.model.joint_count
-        self._sign_width = np.full(len(task.model.joints), 1.0)
-        self._sign_width[:n] = SIGN_WIDTH * task.limits.velocity
+        self.sign_width: Array = np.ones(len(task.model.joints))
+        self.sign_width[:n] = SIGN_WIDTH * task.limits.velocity
         self._samples_per_row = task.independent_rate * float(self.t[1] - self.t[0]) * repeats
-        self._selections = task.base_selections()
-        self._guess: Array | None = None  # configurations of the motion before
+        self.selections = task.base_selections()
+        self._guess: Array | None = None  # configurations of the motion that was evaluated before
 
     def __call__(self, x: Array) -> tuple[float, Array]:
         """Value, and gradient with respect to x, shape (number of parameters,)."""
@@ -103,11 +107,11 @@ class StandingObjective:
         return self._information(state)[0]
 
     def collision_times(self, x: Array) -> Array:
-        """Times at which links are too near to each other; none, as every coarse sample is evaluated."""
+        """No times: the clearance is evaluated at the coarse samples."""
         return np.zeros(0)
 
     def add_clearance_times(self, t: Array) -> None:
-        """Nothing: the clearance is evaluated at the coarse samples."""
+        """Do nothing: the clearance is evaluated at the coarse samples."""
 
     def _samples(self, u: MotionSamples) -> StandingSamples:
         """Motion of the robot; where the feet do not reach the ground, the stance."""
@@ -141,8 +145,8 @@ class StandingObjective:
         value, by_M = self.task.criterion.smooth_log(M)
         by_rows = 2 * self._samples_per_row * (rows @ by_M)  # by the rows before the projection
         by_blocks = []
-        for row, part in enumerate(self._selections):
-            by_blocks.append((by_rows[:, row] / self.task.noise[row]) @ part.T)
+        for row, selection in enumerate(self.selections):
+            by_blocks.append((by_rows[:, row] / self.task.noise[row]) @ selection.T)
         free = state.free_rows
         by_projector = self._samples_per_row * (free @ by_M) @ free.transpose(0, 2, 1)
         return value, by_blocks, by_projector
@@ -186,7 +190,7 @@ class StandingObjective:
 
 
 class _State:
-    """Columns and loads of samples.
+    """Columns of the torque equation, loads and clearance at samples.
 
     Parameters
     ----------
@@ -204,14 +208,11 @@ class _State:
         task = objective.task
         equation = task.equation
         self.samples = samples
-        motion = task.standing_motion(samples, objective.t, objective._sign_width)
+        motion = task.standing_motion(samples, objective.t, objective.sign_width)
         self.blocks = equation.columns(motion)
-        required = np.array(
-            [
-                task.theta[active] @ block[:-1] - block[-1]
-                for active, block in zip(equation.active_in_columns(), self.blocks, strict=True)
-            ]
-        )
+        required = np.zeros_like(motion.tau)
+        for row, (active, block) in enumerate(zip(equation.active_in_columns(), self.blocks, strict=True)):
+            required[row] = task.theta[active] @ block[:-1] - block[-1]
         if same_posture is None:
             if equation.contacts is None:
                 raise AssertionError  # a floating base has contacts
@@ -223,13 +224,13 @@ class _State:
             self.projector = same_posture.projector
             self.missing_clearance = same_posture.missing_clearance
         self.loads: Loads = task.robot.loads(required, self.jacobian, list(task.soles))
-        self._selections = objective._selections
+        self._selections = objective.selections
         self._noise = task.noise
 
     @property
     def free_rows(self) -> Array:
         """Rows of the base parameters in units of the noise, before the projection, shape (N, nv, r)."""
-        rows = [block[:-1].T @ part for block, part in zip(self.blocks, self._selections, strict=True)]
+        rows = [block[:-1].T @ selection for block, selection in zip(self.blocks, self._selections, strict=True)]
         return np.asarray(np.stack(rows, axis=1) / self._noise[:, None])
 
     def _missing_clearance(self, task: StandingTask) -> Array:

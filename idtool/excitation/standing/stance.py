@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ConfigError, ModelError
-from idtool.common.names import join_names, suggestion
+from idtool.common.names import suggestion
 from idtool.excitation.standing.kinematics import FootKinematics, FootPose, Stance
 from idtool.excitation.standing.robot import Loads, StandingRobot
 from idtool.robot.collision import SelfCollision
@@ -61,17 +61,17 @@ def find_stance(
         If no stance was found.
     """
     limits = robot.limits
-    q = _start(robot, start)
+    q = _start_positions(robot, start)
     legs = _leg_joints(robot.feet)
     is_given = any(limits.joints.index(name) in legs for name in start)
     if is_given:
-        stance = _level(robot.feet, q)
+        stance = _level_stance(robot.feet, q)
         loads = _static_loads(robot, stance.q[:, None], stance.R[None])
-        _check(robot, collision, clearance, stance, loads, "--start")
+        _check_stance(robot, collision, clearance, stance, loads, "--start")
         return stance
-    stance = _bent(robot, collision, clearance, q, legs)
+    stance = _bent_stance(robot, collision, clearance, q, legs)
     loads = _static_loads(robot, stance.q[:, None], stance.R[None])
-    _check(robot, collision, clearance, stance, loads, str(robot.model.robot.path))
+    _check_stance(robot, collision, clearance, stance, loads, str(robot.model.robot.path))
     return stance
 
 
@@ -80,7 +80,7 @@ def foot_rotations(feet: FootKinematics, stance: Stance) -> list[Array]:
     return [stance.R @ pose.R[0] for pose in feet.poses(stance.q[:, None])]
 
 
-def _start(robot: StandingRobot, start: Mapping[str, float]) -> Array:
+def _start_positions(robot: StandingRobot, start: Mapping[str, float]) -> Array:
     """The middle of the ranges, or what is given, shape (n,)."""
     limits = robot.limits
     q = limits.middle.copy()
@@ -107,12 +107,12 @@ def _static_loads(robot: StandingRobot, q: Array, R: Array) -> Loads:
     return robot.static_loads(q, R, soles)
 
 
-def _level(feet: FootKinematics, q: Array) -> Stance:
+def _level_stance(feet: FootKinematics, q: Array) -> Stance:
     """A given posture, with the base turned so that the feet are on a horizontal plane; ConfigError if none is."""
     poses = feet.poses(q[:, None])
     R = np.eye(3)
     for _ in range(_LEVELINGS):
-        normal = _normal(feet, poses, R)
+        normal = _plane_normal(feet, poses, R)
         correction, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [normal])
         R = correction.as_matrix() @ R
     heights = _lowest_points(feet, poses, R)[:, 2]
@@ -136,7 +136,7 @@ def _lowest_points(feet: FootKinematics, poses: Sequence[FootPose], R: Array) ->
     return np.array(points)
 
 
-def _normal(feet: FootKinematics, poses: Sequence[FootPose], R: Array) -> Array:
+def _plane_normal(feet: FootKinematics, poses: Sequence[FootPose], R: Array) -> Array:
     """Upward normal of the plane of the feet in the world, in which the base is turned by R, shape (3,)."""
     soles = [R @ pose.R[0][:, 2] for foot, pose in zip(feet.feet, poses, strict=True) if foot.sole is not None]
     if soles:
@@ -148,7 +148,9 @@ def _normal(feet: FootKinematics, poses: Sequence[FootPose], R: Array) -> Array:
     return np.asarray(normal / np.linalg.norm(normal))
 
 
-def _bent(robot: StandingRobot, collision: SelfCollision | None, clearance: float, q: Array, legs: Indices) -> Stance:
+def _bent_stance(
+    robot: StandingRobot, collision: SelfCollision | None, clearance: float, q: Array, legs: Indices
+) -> Stance:
     """Posture with bent legs and the base upright; ModelError if none is found."""
     for height in _HEIGHTS:
         postures = _postures(robot, q, legs, height)
@@ -180,7 +182,7 @@ def _postures(robot: StandingRobot, q: Array, legs: Indices, height: float) -> A
     guesses = _bent_guesses(feet, q, legs)
     guesses = np.clip(guesses, limits.lower[:, None], limits.upper[:, None])
     targets = _targets(feet, q, height)
-    postures, is_reached = _solve(robot, guesses, targets, legs)
+    postures, is_reached = _place_feet(robot, guesses, targets, legs)
     return postures[:, is_reached]
 
 
@@ -210,30 +212,32 @@ def _targets(feet: FootKinematics, q: Array, height: float) -> list[tuple[Array,
     upright = feet.poses(np.zeros((len(q), 1)))
     poses = feet.poses(q[:, None])
     hips, lengths = [], []
+    moving_links = [i for i, body in enumerate(model.bodies) if body.kind == "link" and not body.is_base]
     for foot, pose in zip(feet.feet, poses, strict=True):
-        bodies = [i for i, body in enumerate(model.bodies) if body.kind == "link" and not body.is_base]
-        chain = [i for i in bodies if not (support[i] & ~support[foot.body]).any()]
+        chain = [i for i in moving_links if not (support[i] & ~support[foot.body]).any()]  # from the base to the foot
         points = np.array([placements[i][1][0] for i in chain] + [pose.p[0]])
         distances = np.linalg.norm(np.diff(points, axis=0), axis=1)
         hip = int(np.argmax(distances > _LONG_LINK * distances.max()))
         hips.append(points[hip])
         lengths.append(float(distances[hip:].sum()))
-    lowest = min(hip[2] - height * length for hip, length in zip(hips, lengths, strict=True))
-    lowest = max(lowest, max(hip[2] - length for hip, length in zip(hips, lengths, strict=True)))
+    hip_heights = np.array([hip[2] for hip in hips])
+    bent = float((hip_heights - height * np.array(lengths)).min())
+    straight = float((hip_heights - np.array(lengths)).max())
+    ground = max(bent, straight)  # no leg can reach lower than straight
     targets = []
     for foot, hip, pose in zip(feet.feet, hips, upright, strict=True):
-        place = np.array([hip[0], hip[1], lowest + foot.contact.radius])
+        place = np.array([hip[0], hip[1], ground + foot.contact.radius])
         targets.append((place, pose.R[0]))
     return targets
 
 
-def _solve(
+def _place_feet(
     robot: StandingRobot, guesses: Array, targets: Sequence[tuple[Array, Array]], legs: Indices
 ) -> tuple[Array, Mask]:
     """Postures with the feet at their targets by damped Newton steps within the limits, and those that get there."""
     q = guesses.copy()
     lower, upper = robot.limits.lower[legs, None], robot.limits.upper[legs, None]
-    error, J = _errors(robot.feet, q, targets)
+    error, J = _foot_errors(robot.feet, q, targets)
     for _ in range(_ITERATIONS):
         J_legs = J[:, :, legs]
         transposed = J_legs.transpose(0, 2, 1)
@@ -243,12 +247,12 @@ def _solve(
         largest = np.abs(step).max(axis=1, keepdims=True)
         step *= _MAX_STEP / np.maximum(largest, _MAX_STEP)
         q[legs] = np.clip(q[legs] + step.T, lower, upper)
-        error, J = _errors(robot.feet, q, targets)
+        error, J = _foot_errors(robot.feet, q, targets)
     is_inside = ((q[legs] > lower) & (q[legs] < upper)).all(axis=0)
     return q, is_inside & (np.abs(error).max(axis=1) < _REACHED)
 
 
-def _errors(feet: FootKinematics, q: Array, targets: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+def _foot_errors(feet: FootKinematics, q: Array, targets: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
     """Errors of the feet's places and soles' rotations, shape (N, m), and their Jacobian, shape (N, m, n)."""
     errors, jacobians = [], []
     for foot, pose, (place, R) in zip(feet.feet, feet.poses(q), targets, strict=True):
@@ -260,7 +264,23 @@ def _errors(feet: FootKinematics, q: Array, targets: Sequence[tuple[Array, Array
     return np.concatenate(errors, axis=1), np.concatenate(jacobians, axis=1)
 
 
-def _check(
+def _ground_fault(robot: StandingRobot, loads: Loads) -> str:
+    """Clause that tells which limit of the ground a stance exceeds."""
+    names = [foot.name for foot in robot.feet.feet]
+    limits = robot.forces.limits
+    normal = loads.ground.normal[:, 0]
+    pressure = loads.ground.pressure[:, 0]
+    if normal.min() < limits.min_load:
+        lightest = names[int(np.argmin(normal))]
+        return f"at the stance, foot {lightest} presses on the ground with {normal.min():.3g} N only"
+    if pressure.max() > limits.sole_share:
+        worst = names[int(np.argmax(pressure))]
+        return f"at the stance, the centre of pressure of {worst} is not inside its sole"
+    friction = float(loads.ground.friction[:, 0].max())
+    return f"at the stance, the feet need a friction coefficient of {friction:.3g}"
+
+
+def _check_stance(
     robot: StandingRobot,
     collision: SelfCollision | None,
     clearance: float,
@@ -275,15 +295,7 @@ def _check(
         what = f"at the stance, {joint} needs {100 * share.max():.3g} % of its effort limit with the margin"
         raise ModelError(where, f"{what}; give another --start, or a larger limit")
     if loads.violation[0] > 0:
-        friction = float(loads.ground.friction[:, 0].max())
-        normal = loads.ground.normal[:, 0]
-        names = [foot.name for foot in robot.feet.feet]
-        lightest = names[int(np.argmin(normal))]
-        what = f"at the stance, the feet need a friction coefficient of {friction:.3g}"
-        if normal.min() < robot.forces.limits.min_load:
-            what = f"at the stance, foot {lightest} presses on the ground with {normal.min():.3g} N only"
-        elif loads.ground.pressure.max() > robot.forces.limits.sole_share:
-            what = f"at the stance, the centre of pressure of {join_names(names)} is not inside the soles"
+        what = _ground_fault(robot, loads)
         raise ModelError(where, f"{what}; give another --start")
     if collision is None:
         return

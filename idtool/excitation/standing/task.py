@@ -1,7 +1,7 @@
-"""`StandingTask`: a trajectory design for a robot that stands.
+"""`StandingTask`: robot, feet, limits and criterion of a trajectory design for a robot that stands.
 
 The rows are those of the torque equation behind the elimination of the contact forces, in units of the noise, as `fit`
-has them. What these forces can explain at every posture of one stance is no base parameter.
+has them. What these forces can explain in all postures of one stance is no base parameter.
 
 Shapes: n joints, nv coordinates of the model, N samples, d independent coordinates, r base parameters, p coefficients.
 """
@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.common.exceptions import ConfigError, ModelError
-from idtool.common.names import suggestion
+from idtool.common.exceptions import ModelError
 from idtool.data.signals import Motion
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.regressor import LinearModel
@@ -37,7 +36,14 @@ from idtool.excitation.standing.ground_forces import GroundForces, GroundLimits
 from idtool.excitation.standing.kinematics import GRAVITY, FootKinematics, StandingKinematics, StandingSamples
 from idtool.excitation.standing.robot import Loads, StandingRobot
 from idtool.excitation.standing.stance import find_stance, foot_rotations
-from idtool.excitation.task import NOISE_SHARE, TYPICAL_TORQUE, VELOCITY_DEADBAND, DesignTask, independent_rate
+from idtool.excitation.task import (
+    NOISE_SHARE,
+    TYPICAL_TORQUE,
+    VELOCITY_DEADBAND,
+    DesignTask,
+    check_noise_names,
+    independent_rate,
+)
 from idtool.robot.collision import SelfCollision
 from idtool.robot.config import Config
 from idtool.robot.inertia import PI_SIZE
@@ -47,7 +53,7 @@ _MIN_LOAD = 0.45  # of an even share of the weight, on every foot
 _FORCE_ERROR = 0.1  # of an even share of the weight, by which the force along the ground may differ from predicted
 _SOLE_SHARE = 0.8  # of a sole, in which the centre of pressure stays
 _NOISE_ARM = 0.1  # m, at which the noise of a force on the base acts
-_RANDOM_SAMPLES = 300  # of postures and motions that tell the base parameters
+_RANDOM_SAMPLES = 300  # postures and motions from which the base parameters follow
 _RANDOM_SHARE = 0.5  # of the coordinates' limits
 _RANDOM_SEED = 0
 
@@ -120,7 +126,7 @@ class StandingTask(DesignTask):
         return np.maximum(self.coordinate_use(samples) - 1, 0.0)
 
     def base_selections(self) -> list[Array]:
-        """Per row, what takes its columns to those of the base parameters in units of their scales, (m_j, r)."""
+        """Matrices from the columns of each row to those of the base parameters in units of their scales, (m_j, r)."""
         own = np.searchsorted(self.equalities.free, self.base.own)
         K = self.equalities.K[:, own] * self.scales
         return [K[active] for active in self.equation.active_in_columns()]
@@ -164,9 +170,7 @@ def make_standing_task(
     ModelError
         If no stance was found.
     """
-    for name in noise:
-        if name not in model.names:
-            raise ConfigError("--noise", f"{name} is not a moving joint; {suggestion(name, model.names)}")
+    check_noise_names(model, noise)
     feet = find_feet(model, config, standing.feet, standing.sole_size)
     full = joint_limits(model, config)
     limits = full.with_margin(margin)
@@ -189,13 +193,7 @@ def make_standing_task(
     rows = _random_rows(robot, kinematics, coordinates)
     if logged is not None:
         rows = np.concatenate([rows, _logged_rows(logged, len(equation.prior))])
-    order = np.argsort(equalities.free < PI_SIZE * len(model.bodies), kind="stable")
-    base = base_parameters(rows @ equalities.K, order)
-    if not len(base):
-        raise ModelError(model.robot.path, "has no parameter that a motion of this stance could determine")
-    B = np.zeros((len(base), len(equation.prior)))
-    B[:, equalities.free] = base.B
-    base = BaseParameters(equalities.free[base.own], B)
+    base = _base_parameters(model, equalities, rows)
     typical = _typical_magnitudes(rows)
     return StandingTask(
         model=model,
@@ -222,6 +220,17 @@ def make_standing_task(
     )
 
 
+def _base_parameters(model: RobotModel, equalities: EqualityConstraints, rows: Array) -> BaseParameters:
+    """Base parameters by rows, shape (rows, p), those of friction and effects first; ModelError if there are none."""
+    others_first = np.argsort(equalities.free < PI_SIZE * len(model.bodies), kind="stable")
+    of_free = base_parameters(rows @ equalities.K, others_first)
+    if not len(of_free):
+        raise ModelError(model.robot.path, "has no parameter that a motion of this stance could determine")
+    B = np.zeros((len(of_free), rows.shape[1]))
+    B[:, equalities.free] = of_free.B
+    return BaseParameters(equalities.free[of_free.own], B)
+
+
 def _with_noise(equation: LinearModel, contacts: ContactModel, noise: Array) -> LinearModel:
     """The equation with other noise of the rows."""
     return LinearModel(equation.joints, equation.effects, equation.operating_point, contacts.with_noise(noise))
@@ -243,8 +252,8 @@ def _row_noise(model: RobotModel, limits: Limits, given: Mapping[str, float]) ->
     wrench = np.repeat([force, force * _NOISE_ARM], 3)
     assumed = np.concatenate([NOISE_SHARE * largest, np.tile(wrench, (len(model.joints) - n) // len(wrench))])
     noise = np.array([given.get(name, x) for name, x in zip(model.names, assumed, strict=True)])
-    texts = [f"{name} {x:.3g}" for name, x in zip(model.names, noise, strict=True) if name not in given]
-    return noise, tuple(texts)
+    assumed_rows = [f"{name} {x:.3g}" for name, x in zip(model.names, noise, strict=True) if name not in given]
+    return noise, tuple(assumed_rows)
 
 
 def _random_rows(robot: StandingRobot, kinematics: StandingKinematics, limits: Limits) -> Array:
