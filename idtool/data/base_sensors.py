@@ -29,11 +29,11 @@ from idtool.robot.body import Frame
 from idtool.robot.config import Config
 from idtool.robot.model import RobotModel
 
-# channels along the IMU's axes; the orientation is the rotation from the IMU to the world, its real part last
+# Channels of an IMU, along its axes. The orientation is the rotation from the IMU to the world, its real part last.
 GYROSCOPE = ("imu_wx", "imu_wy", "imu_wz")
 ACCELEROMETER = ("imu_ax", "imu_ay", "imu_az")
 ORIENTATION = ("imu_qx", "imu_qy", "imu_qz", "imu_qw")
-# of a link in the world
+# Channels of the pose of a link in the world; the orientation likewise.
 POSITION = ("base_x", "base_y", "base_z")
 POSE_ORIENTATION = ("base_qx", "base_qy", "base_qz", "base_qw")
 POSE = (*POSITION, *POSE_ORIENTATION)
@@ -235,10 +235,8 @@ class PoseSensors(BaseSensors):
         w_in_link = _angular_velocity(quaternions[:, reach:-reach], rate)
         w = self._frame.R @ w_in_link
         alpha = differentiate(w, dt)
-        # the base's origin is where the link has it, which turns with the link
         link_to_world = Rotation.from_quat(quaternions.T)
-        origin_in_link = -self._frame.R.T @ self._frame.p
-        origin = smooth(self._values(POSITION, t)) + link_to_world.apply(origin_in_link).T
+        origin = self._base_origin(smooth(self._values(POSITION, t)), link_to_world)
         acceleration = differentiate(differentiate(origin, dt), dt)
         in_world = acceleration - self._gravity[:, None]
         in_link = link_to_world[2 * reach : -2 * reach].inv().apply(in_world.T).T
@@ -250,8 +248,7 @@ class PoseSensors(BaseSensors):
         """Velocity of the base's origin along the axes of the base, at evenly spaced times [s], shape (3, N) [m/s]."""
         dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
         link_to_world = Rotation.from_quat(self._values(POSE_ORIENTATION, t).T)
-        origin_in_link = -self._frame.R.T @ self._frame.p
-        origin = self._values(POSITION, t) + link_to_world.apply(origin_in_link).T
+        origin = self._base_origin(self._values(POSITION, t), link_to_world)
         velocity = gaussian_filter1d(origin, _SMOOTHING / dt, axis=-1, order=1) / dt
         return np.asarray(self._frame.R @ link_to_world.inv().apply(velocity.T).T)
 
@@ -260,6 +257,11 @@ class PoseSensors(BaseSensors):
         link_to_world = Rotation.from_quat(self._values(POSE_ORIENTATION, t).T).as_matrix()
         world_to_base = self._frame.R @ link_to_world.transpose(0, 2, 1)
         return np.moveaxis(world_to_base, 0, -1)
+
+    def _base_origin(self, position: Array, link_to_world: Rotation) -> Array:
+        """Place of the base's origin in the world by the link's position, shape (3, N), and N rotations; (3, N) [m]."""
+        origin_in_link = -self._frame.R.T @ self._frame.p
+        return np.asarray(position + link_to_world.apply(origin_in_link).T)
 
     def _values(self, names: Sequence[str], t: Array) -> Array:
         """Values of channels, whose stamps are late, at times; shape (channels, N)."""

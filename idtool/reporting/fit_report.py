@@ -187,9 +187,13 @@ def rms_by_kind(rms: Mapping[str, float | None], kinds: Mapping[str, Sequence[st
     """
     by_kind: dict[str, float | None] = {}
     for kind, rows in kinds.items():
-        squares = [error**2 for row in rows if (error := rms[row]) is not None]
-        square = sum(squares) / len(squares) if kind == "joints" and squares else sum(squares)
-        by_kind[kind] = math.sqrt(square) if squares else None
+        errors = [rms[row] for row in rows]
+        known = [error for error in errors if error is not None]
+        if not known:
+            by_kind[kind] = None
+            continue
+        total = sum(error**2 for error in known)
+        by_kind[kind] = math.sqrt(total / len(known)) if kind == "joints" else math.sqrt(total)
     return by_kind
 
 

@@ -37,7 +37,7 @@ _SUPPORT_WORDS = {
 }
 _MARKER_WORDS = {"marker", "markers", "mocap", "vicon", "optitrack", "qualisys"}
 _RADIUS_KEY = "contacts.radius"
-_UNKNOWN_RADIUS = "radius of "  # begin of a comment on a radius that is not of a sphere
+_RADIUS_COMMENT = "radius of "  # begin of a comment on a radius that is not that of a sphere
 _BASE_WORDS = {"base", "body", "trunk", "torso", "pelvis"}
 
 
@@ -78,10 +78,10 @@ class BaseSections:
         value = round(radius.value, 4)
         entries = [{**entry, "radius": value} if entry["name"] in feet else entry for entry in section.value]
         comment = (
-            f"{_UNKNOWN_RADIUS}{join_names(feet)}: {radius.text}, by how they roll while the robot stands (logs). Soft "
+            f"{_RADIUS_COMMENT}{join_names(feet)}: {radius.text}, by how they roll while the robot stands (logs). Soft "
             "feet seem smaller; measure it if you can."
         )
-        comments = [one for one in section.comments if not one.startswith(_UNKNOWN_RADIUS)]
+        comments = [one for one in section.comments if not one.startswith(_RADIUS_COMMENT)]
         todo = [item for item in self.todo if item.key != _RADIUS_KEY]
         todo.append(TodoItem(_RADIUS_KEY, f"measure the radius of {join_names(feet)}, which the logs tell roughly"))
         section = replace(section, comments=(*comments, comment), value=entries)
@@ -370,7 +370,7 @@ class _Proposer:
             comments.append("radius and point: of the sphere in the link's geometry, m (URDF).")
         if bounds:
             comments.append(
-                f"{_UNKNOWN_RADIUS}{join_names(bounds)}: of a ball about the mesh, which may be larger than the foot "
+                f"{_RADIUS_COMMENT}{join_names(bounds)}: of a ball about the mesh, which may be larger than the foot "
                 "(URDF); check it, m."
             )
             self.todo.append(TodoItem(_RADIUS_KEY, f"the radius of {join_names(bounds)}, which is that of a mesh"))
@@ -382,7 +382,7 @@ class _Proposer:
             comments.append("radius: none, because it needs the orientation of the IMU, imu_qw to imu_qz.")
         elif unknown:
             comments.append(
-                f"{_UNKNOWN_RADIUS}{join_names(unknown)}: unknown, so 0; of a foot that is a ball, give it, m."
+                f"{_RADIUS_COMMENT}{join_names(unknown)}: unknown, so 0; of a foot that is a ball, give it, m."
             )
             self.todo.append(TodoItem(_RADIUS_KEY, f"the radius of {join_names(unknown)}, if they are balls"))
         off_foot = [entry["name"] for entry in points if "radius" not in entry and entry["link"] not in self.feet]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -139,4 +140,4 @@ def write(file: BinaryIO, log: JointLog) -> None:
 
 def _cell(x: float) -> str:
     """A number; empty for NaN."""
-    return repr(x) if x == x else ""
+    return "" if math.isnan(x) else repr(x)

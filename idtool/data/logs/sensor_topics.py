@@ -33,7 +33,17 @@ _PREFIXES = ("force_", "contact_")  # that a topic may have already
 
 @dataclass(frozen=True)
 class _Kind:
-    """A kind of sensor of which a log may have several topics: begin of its channels, its name, and its key."""
+    """A kind of sensor of which a log may have several topics.
+
+    Attributes
+    ----------
+    prefix
+        Begin of the names of its channels.
+    article, word
+        Its name in messages.
+    key
+        Key of its topic in the configuration.
+    """
 
     prefix: str
     article: str

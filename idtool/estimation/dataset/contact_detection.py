@@ -124,7 +124,7 @@ def _with_detected_feet(log: JointLog, loads: FootLoads) -> JointLog:
 def _torque_notice(loads: FootLoads, log: JointLog, model: RobotModel, config: Config) -> Notice | None:
     """Notice about torques of the wrong sign or scale, by which the feet do not carry the robot's weight; else None.
 
-    While nothing else holds it, the feet carry the weight on average.
+    On average, the feet carry the weight while nothing else holds the robot.
     """
     others = [contact for contact in config.contacts if contact not in loads.feet]
     if any(contact.flag_channel is None for contact in others):  # it may act at any time
@@ -145,6 +145,8 @@ def _torque_notice(loads: FootLoads, log: JointLog, model: RobotModel, config: C
         return None
     what = f"by the torque of the legs, the feet carry {carried:.2g} times the robot's weight"
     advice = "check the scale of the torque (log.scale: N·m at the joint output per logged unit) and the URDF's masses"
+    if carried < _MIN_CARRIED:
+        advice += "; if something else holds the robot, add a contact for it"
     return Notice("torque_scale", "warning", "tau", what, advice)
 
 

@@ -178,8 +178,10 @@ def _simulated_stretches(experiment: Experiment) -> Sequence[slice]:
     stretches = [stretch for stretch in stretches if stretch.stop - stretch.start > 1]
     if not stretches:
         what = "cannot be simulated: a contact force acts on the joints all the time"
-        advice = "give a log in which the robot hangs free" if experiment.model.has_floating_base else ""
-        advice = advice or "give a log with motion without contact, or check the flags of the contacts"
+        if experiment.model.has_floating_base:
+            advice = "give a log in which the robot hangs free"
+        else:
+            advice = "give a log with motion without contact, or check the flags of the contacts"
         raise LogError(signals.log.path, f"{what}; {advice}")
     return stretches
 

@@ -157,11 +157,11 @@ class RecursiveFit:
         self.predicted += defined
         self._counted += shares
         self.samples += 1
-        whole = np.where(defined, shares, 1.0)
+        positive_shares = np.where(defined, shares, 1.0)  # as divisors
         mean = shares / np.where(defined, self._counted, 1.0)
-        self._power += mean * (tau**2 / whole - self._power)
+        self._power += mean * (tau**2 / positive_shares - self._power)
         rate = np.clip(_EARLY * mean, lately * shares, 1.0)
-        self._noise += rate * (error**2 / whole - self._noise)
+        self._noise += rate * (error**2 / positive_shares - self._noise)
         self._measured += defined * tau**2
         self._explained += defined * np.square(W @ self._explaining)
         for joint, row, torque, is_defined in zip(self._joints, W, tau, defined, strict=True):

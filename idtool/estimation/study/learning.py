@@ -23,7 +23,7 @@ from idtool.estimation.problem.problem import Problem
 from idtool.robot.inertia import PI_SIZE, smallest_eigenvalue
 
 _POOL = 4096  # samples that draws are made from, at random from all: a log of any length fits into memory
-_POOL_NUMBERS = 1 << 25  # in their rows at most: with contacts, every row has all columns
+_POOL_NUMBERS = 1 << 25  # largest count of numbers in their rows: with contacts, every row has all columns
 _FEW_SAMPLES_FACTOR = 4  # times as many draws of few samples
 _STEPS = (1, 3)  # times a power of ten: the counts
 
@@ -97,7 +97,8 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
     total = empty(experiment.equation.active())
     pool: Pool | None = None
     keys, samples = np.zeros(0), 0
-    size = min(_POOL, max(_POOL_NUMBERS // sum(len(factor.R.T) for factor in total), 1))
+    numbers_per_sample = sum(factor.R.shape[1] for factor in total)
+    size = min(_POOL, max(_POOL_NUMBERS // numbers_per_sample, 1))
     for run in experiment.runs:
         stage = f"reading {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
@@ -143,8 +144,9 @@ def held_out(experiment: Experiment, progress: Progress) -> Reduction:
             is_compared |= equation.compared_rows(batch, row_filter)
         further = [np.flatnonzero(active >= len(equation.coefficients)) for active in extended.active()]
         of_log = tuple(factor.without_columns(columns) for factor, columns in zip(of_log, further, strict=True))
-        none = empty(equation.active())
-        compared = [own if known else no for own, no, known in zip(of_log, none, is_compared, strict=True)]
+        compared = list(empty(equation.active()))
+        for row in np.flatnonzero(is_compared):
+            compared[row] = of_log[row]
         total = merge(total, tuple(compared))
     return total
 

@@ -153,7 +153,7 @@ class DataFault(Record):
 
     fault: str = field("Its id, see [Reading a diagnosis](howto/diagnosis.md#1-data-faults).")
     joint: str | None = field(
-        "The joint; `imu`, or the name of a foot, for a fault of these; null: the log, or all joints."
+        "The joint; `imu`, `pose` or the name of a foot for a fault of these; null: the log, or all joints."
     )
     detail: str = field("What was observed, and what to do.")
     undone: bool = field("Whether idtool corrects it, so that no action is needed.")

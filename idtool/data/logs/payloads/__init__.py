@@ -1,8 +1,8 @@
 """Decoders of message payloads. A new encoding is one new file in this folder.
 
 A member defines `ENCODING`, the message encoding that it reads, and functions that return decoders of a channel's
-messages: `decoder` for joint states, `text` for messages that are a single text, `sensor` for an IMU, wrenches and
-flags, and `fields` for addressed fields of any messages.
+messages: `decoder` for joint states, `text` for messages that are a single text, `sensor` for an IMU, a pose, a wrench
+or a flag, and `fields` for addressed fields of any messages.
 """
 
 from __future__ import annotations

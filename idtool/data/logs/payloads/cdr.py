@@ -173,7 +173,7 @@ def encode(nanoseconds: NDArray[np.int64], joints: Sequence[str], signals: Mappi
 
 
 def encode_sensor(sensor_type: SensorType, nanoseconds: NDArray[np.int64], numbers: Array) -> Bytes:
-    """Messages of a type of sensor in little-endian XCDR1, shape (k, L).
+    """Messages of a type of sensor without texts in little-endian XCDR1, shape (k, L).
 
     Parameters
     ----------

@@ -51,21 +51,23 @@ class _Parser:
         reference = node.get("$ref")
         if isinstance(reference, str):
             if reference not in self._references:
-                self._references[reference] = UNKNOWN  # within itself
+                self._references[reference] = UNKNOWN  # for a reference to it within itself
                 self._references[reference] = self.kind(self._target(reference), name, depth + 1)
             return self._references[reference]
         properties = node.get("properties")
         if isinstance(properties, dict) and properties:
-            self.types[name] = {
-                field: self.kind(inner, f"{name}.{field}", depth + 1) for field, inner in properties.items()
-            }
+            fields = {}
+            for field, inner in properties.items():
+                fields[field] = self.kind(inner, f"{name}.{field}", depth + 1)
+            self.types[name] = fields
             return Kind(name)
-        type_names = node.get("type")
-        allowed = [one for one in (type_names if isinstance(type_names, list) else [type_names]) if one != "null"]
+        declared = node.get("type")
+        type_names = declared if isinstance(declared, list) else [declared]
+        allowed = [type_name for type_name in type_names if type_name != "null"]
         if allowed == ["array"]:
             element = self.kind(node.get("items"), f"{name}[]", depth + 1)
-            of_one = UNKNOWN if element.is_collection else element
-            return Kind(of_one.type_name, is_collection=True)
+            single = UNKNOWN if element.is_collection else element  # arrays of arrays are not read
+            return Kind(single.type_name, is_collection=True)
         if len(allowed) == 1 and isinstance(allowed[0], str):
             return _TYPES.get(allowed[0], UNKNOWN)
         return UNKNOWN
