@@ -292,7 +292,7 @@ def _check_standing(
     """Refuse options that do not go together with ``stand``, or need it, or are out of their range; ConfigError."""
     only_standing = {
         "--feet": bool(feet),
-        "--friction-coefficient": friction_coefficient is not None,
+        "--ground-friction": friction_coefficient is not None,
         "--sole-size": sole_size is not None,
     }
     for option, is_given in only_standing.items():
@@ -304,7 +304,7 @@ def _check_standing(
             raise ConfigError(option, "is not for a robot that stands; leave out --stand")
     if friction_coefficient is not None and not _MIN_FRICTION <= friction_coefficient <= _MAX_FRICTION:
         between = f"between {_MIN_FRICTION:g} and {_MAX_FRICTION:g}"
-        raise ConfigError("--friction-coefficient", f"{friction_coefficient:g} is not {between}")
+        raise ConfigError("--ground-friction", f"{friction_coefficient:g} is not {between}")
     for size in sole_size or ():
         if not 0 < size <= _MAX_SOLE:
             raise ConfigError("--sole-size", f"{size:g} is not between 0 and {_MAX_SOLE:g} m")

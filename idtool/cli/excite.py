@@ -105,7 +105,7 @@ def excite_command(
     ] = None,
     friction_coefficient: Annotated[
         float | None,
-        typer.Option("--friction-coefficient", help="Of the feet on the ground, with --stand; default: 0.5."),
+        typer.Option("--ground-friction", help="Friction coefficient of the ground, with --stand; default: 0.5."),
     ] = None,
     sole_size: Annotated[
         tuple[float, float] | None,

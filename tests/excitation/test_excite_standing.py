@@ -87,7 +87,7 @@ def test_pose_of_the_base_may_be_configured(folder: Path, base_sensor: str) -> N
     [
         (["--feet", "FL_foot"], "--feet: is for a robot that stands; add --stand"),
         (["--sole-size", "0.1", "0.1"], "--sole-size: is for a robot that stands; add --stand"),
-        (["--stand", "--friction-coefficient", "0"], "--friction-coefficient: 0 is not between 0.05 and 2"),
+        (["--stand", "--ground-friction", "0"], "--ground-friction: 0 is not between 0.05 and 2"),
         (["--stand", "--tip", "FL_calf"], "--tip: is not for a robot that stands"),
         (["--stand", "--pattern", "shell"], "shell is not a pattern for a standing robot"),
         (["--stand", "--start", "*_knee=1"], r"--start: \*_knee matches no moving joint"),

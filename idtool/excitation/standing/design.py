@@ -239,7 +239,7 @@ def _scale_to_limits(task: StandingTask, segment: TrajectorySegment) -> Trajecto
             return scaled
         share *= 1 - _FIRST_REDUCTION * (k + 1)
     what = f"no {segment.pattern.name} motion from this stance keeps the feet on the ground within all limits"
-    advice = "give another --start, a larger --friction-coefficient, or a smaller --clearance or --margin"
+    advice = "give another --start, a larger --ground-friction, or a smaller --clearance or --margin"
     raise ModelError(task.model.robot.path, f"{what}; {advice}")
 
 

@@ -106,7 +106,7 @@ class FootLoadReport(Record):
 class StandingReport(Record):
     """The ground and the base, for a robot that stands."""
 
-    friction_coefficient: float = field("Friction coefficient of the ground, given by `--friction-coefficient`.")
+    friction_coefficient: float = field("Friction coefficient of the ground, given by `--ground-friction`.")
     feet: Annotated[ReadOnly[FootLoadReport], Keys("contact")] = field("Loads of the feet.")
     base: Annotated[ReadOnly[Interval], Keys("direction")] = field(
         "Smallest and largest displacement [m] and rotation [rad] of the base from the stance."
