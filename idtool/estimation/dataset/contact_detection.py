@@ -138,10 +138,10 @@ def _torque_notice(loads: FootLoads, log: JointLog, model: RobotModel, config: C
     if is_supported.sum() < _MIN_SUPPORTED_SAMPLES:
         return None
     carried = float(loads.vertical_load[:, is_supported].sum(axis=0).mean())
-    if carried < -_MIN_CARRIED:
+    if carried < -_NO_LOAD:
         what = f"by the torque of the legs, the feet pull at the ground with {-carried:.2g} times the robot's weight"
         return Notice("torque_sign", "problem", "tau", what, "reverse the sign of the torque (log.scale)")
-    if _MIN_CARRIED <= carried <= _MAX_CARRIED or abs(carried) <= _NO_LOAD:
+    if _MIN_CARRIED <= carried <= _MAX_CARRIED or carried <= _NO_LOAD:
         return None
     what = f"by the torque of the legs, the feet carry {carried:.2g} times the robot's weight"
     advice = "check the scale of the torque (log.scale: N·m at the joint output per logged unit) and the URDF's masses"
