@@ -36,7 +36,9 @@ def separation(
     path.write_text(arm())
     (folder / "robot.yaml").write_text(config)
     model = Model(path)
-    task, _ = _make_task(model.robot, model.settings, None, noise, 500.0, 0.1, 0.0, "d", (), lambda stage, share: None)
+    task, _ = _make_task(
+        model.robot, model.settings, None, None, noise, 500.0, 0.1, 0.0, "d", (), lambda stage, share: None
+    )
     spec = PatternSpec(task.model, task.limits, task.limits.middle, 10.0)
     pattern = Fourier(spec)
     segment = TrajectorySegment(pattern, pattern.draw(np.random.default_rng(1)))
