@@ -57,7 +57,6 @@ IDS_ELSEWHERE = {
         "time_delay",
     ): "a message; data comes before dynamics and can ask none",
     ("data/inspection/motion_findings.py", "torque_gain"): "likewise",
-    ("api/inspect.py", "imu_delay"): "the code of a notice",
     ("estimation/dataset/imu_delay.py", "imu_delay"): "the code of a notice",
     ("reporting/export/transmissions.py", "rotor_inertia"): "Drake's tag, drake:rotor_inertia",
 }

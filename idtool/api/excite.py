@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import fnmatch
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -15,18 +16,19 @@ from idtool.api.explanations import find_explanations, parse_alternatives
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress, ignore_progress, notice_lines, table_lines
-from idtool.common.exceptions import ConfigError
+from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.interrupt import delay_interrupt
-from idtool.common.names import suggestion
+from idtool.common.names import join_names, suggestion
 from idtool.common.notice import Notice
 from idtool.common.outputs import write_all
-from idtool.data.logs import check_log_file, write_log
+from idtool.data.controller import with_unknown_torque
+from idtool.data.logs import JointLog, check_log_file, write_log
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.equality_constraints import equality_constraints
-from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of
+from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of, with_default_band
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.row_noise import with_row_noise
 from idtool.excitation.criteria import Criterion
@@ -207,7 +209,10 @@ def excite(
         tip=tip,
     )
     paths = [Path(str(path)) for path in as_list(logs)]
-    experiment = _load_experiment(model.robot, given, paths, report_progress)
+    check = partial(_check_torque, model.robot, model.settings)
+    experiment = _load_experiment(model.robot, given, paths, check, report_progress)
+    if experiment is None:
+        given = with_default_band(given, 1 / rate)
     standing = None
     if stand:
         friction = _FRICTION_COEFFICIENT if friction_coefficient is None else friction_coefficient
@@ -346,11 +351,31 @@ def _start_by_joint(start: Mapping[str, float], robot: Robot, settings: Config) 
     return by_pattern | by_name
 
 
-def _load_experiment(robot: Robot, settings: Config, logs: Sequence[Path], progress: Progress) -> Experiment | None:
-    """The experiment of the existing logs; None without any."""
+def _check_torque(robot: Robot, settings: Config, log: JointLog) -> JointLog:
+    """The log; LogError if wrench sensors, which a design leaves out, replace the torque of a joint."""
+    if not settings.wrench_sensors:
+        return log
+    joints = robot.joints if settings.joints is None else settings.joints
+    used = [name for name in joints if name not in settings.locked_joints]
+    unknown = with_unknown_torque(log, settings.controller).unknown_torque
+    lacking = [name for name in unknown if name in used]
+    if lacking:
+        what = f"no torque was logged of {join_names(lacking)}, and excite --stand leaves out the wrench sensors"
+        raise LogError(log.path, f"{what} that replace it; leave out this log")
+    return log
+
+
+def _load_experiment(
+    robot: Robot,
+    settings: Config,
+    logs: Sequence[Path],
+    check: Callable[[JointLog], JointLog],
+    progress: Progress,
+) -> Experiment | None:
+    """The experiment of the existing logs, each of which passes a check; None without any."""
     if not logs:
         return None
-    experiment, _, _ = with_delay(prepare(robot, settings, logs, holdout=0.0), progress)
+    experiment, _, _ = with_delay(prepare(robot, settings, logs, holdout=0.0, transform=check), progress)
     experiment, _ = with_row_noise(experiment, progress)
     return experiment
 

@@ -25,20 +25,6 @@ from idtool.reporting.results.inspection import InspectionReport
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import read_robot
 
-_ROBOT_FINDINGS = (  # codes of what `prepare` finds, and an inspection of the log alone does not
-    "contact_always_closed",
-    "contact_without_flag",
-    "contacts_detected",
-    "foot_slip",
-    "imu_against_feet",
-    "imu_delay",
-    "imu_mount",
-    "pose_against_imu",
-    "torque_scale",
-    "torque_sign",
-    "wrench_sensor_sign",
-)
-
 
 class InspectionResult(InspectionReport):
     """Inspection of a log: its contents and its faults. The fields are what `idtool inspect --json` prints."""
@@ -87,7 +73,7 @@ def _robot_findings(
     if sensor_options(settings) is None:
         return
     if urdf is not None:
-        yield from _experiment_notices(log, settings, Path(urdf))
+        yield from _comparison_notices(log, settings, Path(urdf))
         return
     if config is None or isinstance(config, Mapping):
         return
@@ -95,14 +81,13 @@ def _robot_findings(
     if not beside.is_file():
         return
     try:
-        yield from _experiment_notices(log, settings, beside)
+        yield from _comparison_notices(log, settings, beside)
     except IdtoolError as error:  # the user did not ask for this comparison
         yield Notice("not_compared_with_urdf", "note", None, f"the log was not compared with {beside.name}: {error}")
 
 
-def _experiment_notices(log: JointLog, settings: Config, urdf: Path) -> list[Notice]:
-    experiment = prepare(read_robot(urdf), settings, [log], holdout=0.0)
-    return [notice for notice in experiment.notices if notice.code in _ROBOT_FINDINGS]
+def _comparison_notices(log: JointLog, settings: Config, urdf: Path) -> tuple[Notice, ...]:
+    return prepare(read_robot(urdf), settings, [log], holdout=0.0).comparison_notices
 
 
 def _read(path: Source, settings: Config) -> JointLog:

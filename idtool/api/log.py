@@ -6,7 +6,7 @@ N samples, nj joints. Units: s, rad or m, rad/s or m/s, N·m or N.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,12 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.data.base_sensors import POSE
 from idtool.data.logs import SIGNALS, JointLog, make_log, write_log
 from idtool.data.logs import read_log as read_record
-from idtool.data.logs.message_options import message_options
+from idtool.data.logs.message_options import MessageOptions, message_options
 from idtool.data.logs.sensor_channels import SensorOptions
+from idtool.data.logs.state_topics import sensor_topics
 from idtool.robot.config.base import validate_record
 from idtool.robot.config.signals import LogOptions
 
@@ -49,7 +51,7 @@ class Log:
     imu_topic
         The topic with the IMU, if the file has several.
     pose_topic
-        The topic with the pose of the base, if the file has several.
+        The topic with the pose of the base, if the file has several; without it, none of them is read.
     preset, fields, field_joints
         For messages that are not joint states, as in the configuration's section ``log``: a preset such as
         ``unitree_go``, the path of each field, and the joints in the order of the index ``{i}``.
@@ -95,6 +97,9 @@ class Log:
             sensors=SensorOptions(imu_topic, pose_topic) if sensors else None,
             messages=message_options(options),
         )
+        if sensors and pose_topic is None:
+            notices = _unread_poses(record, message_options(options))
+            record = replace(record, notices=(*record.notices, *notices))
         self._set_record(record, as_logged=not (columns or scale))
 
     @classmethod
@@ -270,6 +275,16 @@ class Log:
 def read_log(path: str | os.PathLike[str], **options: Any) -> Log:
     """The log in a file; see `Log` for the options and errors."""
     return Log(path, **options)
+
+
+def _unread_poses(log: JointLog, messages: MessageOptions) -> Iterator[Notice]:
+    """Notice about several topics with a pose of which none was read."""
+    if POSE[0] in log.channels:
+        return
+    topics = sensor_topics(log.path, messages).poses
+    if len(topics) > 1:
+        message = f"{len(topics)} topics carry a pose, and none of them was read: {join_names(topics)}"
+        yield Notice("pose_not_chosen", "note", None, message, "name one as pose_topic")
 
 
 def _read_only(array: Array) -> Array:

@@ -176,7 +176,9 @@ def _errors_by_kind(rms: TorqueErrors, kinds: Mapping[str, Sequence[str]]) -> Er
 
 
 def rms_by_kind(rms: Mapping[str, float | None], kinds: Mapping[str, Sequence[str]]) -> dict[str, float | None]:
-    """RMS errors of all joints, and of the length of each force and moment; None if no row of the kind has an error.
+    """RMS errors of all joints that have one, and of the length of each force and moment.
+
+    It is None if no joint has an error, or if a row of the force or moment has none: only a whole vector has a length.
 
     Parameters
     ----------
@@ -187,13 +189,12 @@ def rms_by_kind(rms: Mapping[str, float | None], kinds: Mapping[str, Sequence[st
     """
     by_kind: dict[str, float | None] = {}
     for kind, rows in kinds.items():
-        errors = [rms[row] for row in rows]
-        known = [error for error in errors if error is not None]
-        if not known:
-            by_kind[kind] = None
-            continue
+        known = [error for row in rows if (error := rms[row]) is not None]
         total = sum(error**2 for error in known)
-        by_kind[kind] = math.sqrt(total / len(known)) if kind == "joints" else math.sqrt(total)
+        if kind == "joints":
+            by_kind[kind] = math.sqrt(total / len(known)) if known else None
+        else:
+            by_kind[kind] = math.sqrt(total) if len(known) == len(rows) else None
     return by_kind
 
 

@@ -219,7 +219,8 @@ def find_sensors(robot: Robot, paths: Sequence[Path], given: Config, topic: str 
     """The topics of IMU and pose to read.
 
     There are none to choose from if no log has several, or if the messages of the joints, on ``topic`` or on the only
-    topic of joints, carry an IMU. The sensors are not read if there are several IMUs, none of them in all logs.
+    topic of joints, carry an IMU. If there are several IMUs, none of them in all logs, the other sensors are read only
+    if a pose tells how the base moves.
     """
     given_pose = None if given.base.pose is None else given.base.pose.topic
     if given.base.imu.topic is not None:
@@ -241,7 +242,10 @@ def find_sensors(robot: Robot, paths: Sequence[Path], given: Config, topic: str 
         return SensorChoice(options, pose_topics=poses)
     shared = _shared_topics(imus)
     if not shared:
-        return SensorChoice(None)
+        has_pose = pose is not None or all(len(topics.poses) == 1 for topics in by_log)
+        if not has_pose:
+            return SensorChoice(None)
+        return SensorChoice(replace(options, needs_imu=False), pose_topics=poses)
     return SensorChoice(SensorOptions(shared[0], pose), shared, poses)
 
 

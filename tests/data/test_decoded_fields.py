@@ -19,6 +19,7 @@ from reencoded import ENCODINGS, proto_files, reencode
 
 from idtool.common.exceptions import LogError
 from idtool.data.logs import JointLog, read_log
+from idtool.data.logs.mcap_records import _BATCH
 from idtool.data.logs.message_options import MessageOptions
 from idtool.data.logs.payloads import sensor_decoder_for
 from idtool.data.logs.sensor_channels import SensorOptions, with_sensors
@@ -369,6 +370,21 @@ def test_imu_by_its_name_only_is_ignored_if_it_is_none(tmp_path: Path) -> None:
     (notice,) = log.notices
     assert notice.code == "sensor_topic_ignored"
     assert notice.message == "topic /imu was ignored: its messages have no orientation"
+
+
+def test_ignored_topic_stays_ignored(tmp_path: Path) -> None:
+    """Though later messages, which are decoded apart from the first ones, have the fields of an IMU."""
+    count = _BATCH + 10
+    value = dict.fromkeys("xyz", 1.0)
+    quaternion = {**value, "w": 1.0}
+    message = {"orientation": quaternion, "angular_velocity": value, "linear_acceleration": value}
+    payloads = [json.dumps(message).encode()] * count
+    payloads[0] = b'{"roll": 1}'
+    times = [10**18 + 1000 * i for i in range(count)]
+    imu = Channel("/imu", times, payloads, "json", ("acme.Imu", "jsonschema", b"{}"))
+    log = read(write_channels(tmp_path / "log.mcap", json_channel(states(5)), imu))
+    assert [notice.code for notice in log.notices] == ["sensor_topic_ignored"]
+    assert not log.channels
 
 
 # -- topics without messages, and with a single one --

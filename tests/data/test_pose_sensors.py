@@ -21,6 +21,9 @@ from idtool.data.logs import read_log
 from idtool.data.logs.log import Channel, JointLog
 from idtool.data.logs.sensor_channels import SensorOptions, with_sensors
 from idtool.robot.body import Frame
+from idtool.robot.config import parse_config
+from idtool.robot.urdf.reading import read_robot
+from idtool.setup.loaded_logs import find_sensors
 
 Array = NDArray[np.float64]
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -116,11 +119,11 @@ POSE_MESSAGES = {
 }
 
 
-def write_poses(path: Path, topics: Sequence[tuple[str, str]]) -> None:
-    """Joint states at 1 kHz, and poses of (topic, type) at 100 Hz of which x counts the topics from 1."""
+def write_poses(path: Path, topics: Sequence[tuple[str, str]], imus: Sequence[str] = ()) -> None:
+    """Joint states at 1 kHz, and poses of (topic, type) at 100 Hz of which x counts the topics from 1, and IMUs."""
     from mcap_ros2.writer import Writer
 
-    types = {"sensor_msgs/msg/JointState": MESSAGES["sensor_msgs/msg/JointState"], **POSE_MESSAGES}
+    types = {**MESSAGES, **POSE_MESSAGES}
     with path.open("wb") as file:
         writer = Writer(file)
         schemas = {name: writer.register_msgdef(name, text) for name, text in types.items()}
@@ -139,6 +142,8 @@ def write_poses(path: Path, topics: Sequence[tuple[str, str]]) -> None:
                 if name.startswith("nav_msgs"):
                     message = {"header": header, "child_frame_id": "base", "pose": {"pose": pose}}
                 messages.append((topic, name, message))
+            for topic in imus:
+                messages.append((topic, "sensor_msgs/msg/Imu", {"header": header}))
             for topic, name, message in messages:
                 writer.write_message(topic, schemas[name], message, nanoseconds, nanoseconds)
         writer.finish()
@@ -168,6 +173,38 @@ def test_one_of_several_poses_is_chosen(tmp_path: Path) -> None:
         read_log(path, sensors=SensorOptions(needs_pose=True))
     with pytest.raises(LogError, match=r"base\.pose\.topic: no pose on topic /odm; did you mean /odom"):
         read_log(path, sensors=SensorOptions(pose_topic="/odm"))
+
+
+def test_poses_of_which_none_is_chosen_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write_poses(path, [("/odom", "nav_msgs/msg/Odometry"), ("/goal", "geometry_msgs/msg/PoseStamped")])
+    (notice,) = idtool.Log(path, sensors=True).notices
+    assert notice.code == "pose_not_chosen"
+    assert notice.message == "2 topics carry a pose, and none of them was read: /odom, /goal"
+    assert not idtool.Log(path, sensors=True, pose_topic="/goal").notices
+    write_poses(path, [("/odom", "nav_msgs/msg/Odometry")])
+    assert not idtool.Log(path, sensors=True).notices
+
+
+@pytest.mark.parametrize("poses", [["/odom"], ["/odom", "/goal_pose"], []])
+def test_pose_is_read_though_no_imu_is_in_all_logs(tmp_path: Path, poses: Sequence[str]) -> None:
+    """For a first configuration; without a pose, the IMU is left to the user."""
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text('<robot name="r"><link name="base"/></robot>')
+    logs = [tmp_path / "first.mcap", tmp_path / "second.mcap"]
+    topics = [(name, "geometry_msgs/msg/PoseStamped") for name in poses]
+    write_poses(logs[0], topics, imus=["/imu", "/head/imu"])
+    write_poses(logs[1], topics, imus=["/body/imu", "/camera/imu"])
+    choice = find_sensors(read_robot(urdf), logs, parse_config({}, ""), None)
+    assert choice.pose_topics == (tuple(poses) if len(poses) > 1 else ())
+    if not poses:
+        assert choice.options is None
+        return
+    assert choice.options is not None
+    for log in logs:
+        channels = read_log(log, sensors=choice.options).channels
+        assert channels["base_x"].x[0] == 1
+        assert "imu_wx" not in channels
 
 
 def test_columns_of_a_pose_may_have_empty_cells(tmp_path: Path) -> None:

@@ -130,6 +130,18 @@ def test_gyroscope_with_a_wrong_sign_or_scale_is_named(tmp_path: Path, stand: Re
     assert float(re.findall(r"([\d.]+) times", scale.message)[0]) == pytest.approx(1.4, rel=0.05)
 
 
+def test_inspection_names_what_holds_the_robot_without_a_flag(tmp_path: Path, stand: Recording) -> None:
+    changed = dict(stand.columns)
+    for foot in FEET:
+        changed[f"contact_{foot}"] = (stand.columns["t"] < 2.0).astype(float)
+    urdf, log = write_robot(tmp_path, Recording(changed))
+    config = urdf.with_suffix(".yaml")
+    config.write_text(config.read_text().replace("contact_rope", "auto"))
+    codes = {notice.code for notice in idtool.inspect(log, config=config).notices}
+    assert "support_detected" in codes
+    assert "floating_base_not_simulated" not in codes  # says nothing about the log
+
+
 def test_inspection_compares_with_the_urdf_beside_the_configuration(tmp_path: Path, on_ice: Recording) -> None:
     urdf, log = write_robot(tmp_path, on_ice)
     other = tmp_path / "other.yaml"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from commands import idtool
 from exciting import derivatives
-from ground.logs import config_text, record, write_csv
+from ground.logs import Recording, config_text, record, write_csv
 from ground.playback import play
 from ground.quadruped import FEET, JOINTS, true_quadruped
 from ground.robot import prior_robot, urdf_text
@@ -80,6 +80,33 @@ def test_pose_of_the_base_may_be_configured(folder: Path, base_sensor: str) -> N
     model = api.Model(folder / "quadruped.urdf", config={**content, "base": {**base, "pose": {}}})
     result = api.excite(model, stand=True, duration=3, slow=0.0, iterations=1, rate=100, noise=0.05)
     assert result.base_parameters
+
+
+def test_errors_are_predicted_in_the_band_of_a_pose(folder: Path) -> None:
+    """12 Hz, as `fit` has it for a base without IMU, though the joints' rate allows 40 Hz."""
+    content = dict(parse_yaml(folder / "quadruped.yaml", config_text(TRUTH, base_sensor="pose").encode()))
+    errors = {}
+    for band in (None, 12.0, 40.0):
+        config = content if band is None else {**content, "filter": {"cutoff_hz": band}}
+        model = api.Model(folder / "quadruped.urdf", config=config)
+        options: dict[str, Any] = {"duration": 3, "slow": 0.0, "iterations": 0, "rate": 200, "noise": 0.05}
+        result = api.excite(model, stand=True, max_frequency=1.0, **options)
+        errors[band] = np.array([p.standard_error for p in result.base_parameters], dtype=float)
+    np.testing.assert_allclose(errors[None], errors[12.0])
+    assert np.median(errors[None] / errors[40.0]) > 1.3
+
+
+def test_logs_whose_torque_wrench_sensors_replace_are_refused(folder: Path) -> None:
+    columns = record(TRUTH, "stand", 1.0, 0).columns
+    without_torque = {name: x for name, x in columns.items() if not name.startswith("tau_")}
+    write_csv(folder / "without_torque.csv", Recording(without_torque))
+    content = dict(parse_yaml(folder / "quadruped.yaml", config_text(TRUTH).encode()))
+    model = api.Model(folder / "quadruped.urdf", config={**content, "wrench_sensors": [{"joint": "FL_foot_joint"}]})
+    message = (
+        r"without_torque\.csv: no torque was logged of .*FL_hip_joint.*leaves out the wrench sensors that replace it"
+    )
+    with pytest.raises(api.LogError, match=message):
+        api.excite(model, logs=[folder / "without_torque.csv"], stand=True)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from idtool.common.arrays import Array
 from idtool.common.names import printable
 from idtool.data.logs.log import SET, Channel
 from idtool.data.logs.merged_rows import merge_rows, take_rows
+from idtool.data.logs.payloads.base import channel_names
 from idtool.data.logs.payloads.sensor_types import SENSOR_TYPES
 from idtool.data.logs.sensor_channels import finite_samples
 from idtool.data.logs.sensor_topics import channel_part
@@ -76,7 +77,7 @@ def _messages(topic: str, type_name: str, channels: Mapping[str, Channel], start
         (name,) = channels
         t, x = _without_negative_times(name, channels[name], start)
         return SensorMessages(topic, type_name, t, (x > SET).astype(np.float64)[:, None])
-    names = SENSOR_TYPES[type_name].channels(channel_part(topic))
+    names = channel_names(SENSOR_TYPES[type_name].numbers, channel_part(topic))
     t, (_, *samples) = merge_rows(np.empty(0), [channel.t for channel in channels.values()])
     numbers = np.zeros((len(t), len(names)))
     for k, name in enumerate(names):

@@ -232,6 +232,8 @@ class SensorTopics:
 
     def _decode(self, topic: _Topic, batch: RecordBatch, index: Indices) -> None:
         """Add the messages of a batch at ``index``; those without a stamp get their log time."""
+        if topic.missing_field is not None:
+            return
         heads = batch.heads[index]
         starts = batch.messages[index] + HEAD.itemsize
         lengths = heads["length"].astype(np.intp) - MESSAGE_FIELDS

@@ -96,6 +96,8 @@ class Experiment:
         The logs.
     cache
         Batches and columns that are kept for other models of the same logs; None: none are.
+    comparison_notices
+        Those of the `notices` that a comparison of the logs with the model gave, without the logs' names.
     """
 
     config: Config
@@ -104,6 +106,7 @@ class Experiment:
     equalities: EqualityConstraints
     runs: tuple[Run, ...]
     cache: BatchCache | None = None
+    comparison_notices: tuple[Notice, ...] = ()
 
     @property
     def notices(self) -> tuple[Notice, ...]:
@@ -349,15 +352,18 @@ def prepare(
     for log in every:
         _check_signals(log, model.joint_names)
         _check_sensors(log, config)
-    if config.filter.cutoff_hz is None and config.base.uses_pose:  # of which there are noisy derivatives beyond
-        highest = min(default_cutoff(max(log.dt, sensor_step(log, config))) for log in every)
-        config = _with_band(config, min(band_limit(config), highest))
+    if config.base.uses_pose:  # of which there are noisy derivatives beyond
+        config = _with_band_of_logs(config, every)
     _check_detected_contacts(model, config)
+    comparison_notices: list[Notice] = []
     if model.has_floating_base:
-        fitted = [with_detected_contacts(log, model, config) for log in fitted]
-        validated = [with_detected_contacts(log, model, config) for log in validated]
-        every = (*fitted, *validated)
+        logs_as_read = every
+        every = tuple(with_detected_contacts(log, model, config) for log in logs_as_read)
+        for before, after in zip(logs_as_read, every, strict=True):
+            comparison_notices += after.notices[len(before.notices) :]
+        fitted, validated = list(every[: len(fitted)]), list(every[len(fitted) :])
         config, notices = with_imu_delay(config, model, every)
+        comparison_notices += notices
         model = replace(model, notices=(*model.notices, *notices))
     names = recording_names(every)
     if config.wrench_sensors:
@@ -368,17 +374,35 @@ def prepare(
         model.names, build_effects(model, config), contacts=_contacts(model, config, fitted or every)
     )
     equalities = equality_constraints(config, model, equation)
-    if config.filter.cutoff_hz is None:  # one band for all logs, or their errors could not be added up
-        config = _with_band(config, min(default_cutoff(max(log.dt, sensor_step(log, config))) for log in every))
+    config = _with_band_of_logs(config, every)
     shares = [0.0 if validate else holdout] * len(fitted) + [1.0] * len(validated)
     runs = []
     for log, name, share in zip(every, names, shares, strict=True):
-        runs.append(_split(signals_of(log, model, config, name), share))
-    return Experiment(config, with_equal_bounds(model, equalities), equation, equalities, tuple(runs))
+        signals = signals_of(log, model, config, name)
+        notices = [*kinematic_notices(signals, model, config), *sign_notices(signals, model, config)]
+        comparison_notices += notices
+        signals.notices += notices
+        runs.append(_split(signals, share))
+    return Experiment(
+        config,
+        with_equal_bounds(model, equalities),
+        equation,
+        equalities,
+        tuple(runs),
+        comparison_notices=tuple(comparison_notices),
+    )
 
 
-def _with_band(config: Config, cutoff_hz: float) -> Config:
-    """The configuration with a cut-off of the low-pass [Hz]."""
+def _with_band_of_logs(config: Config, logs: Sequence[JointLog]) -> Config:
+    """The configuration with one band for all logs, or their errors could not be added up."""
+    return with_default_band(config, max(max(log.dt, sensor_step(log, config)) for log in logs))
+
+
+def with_default_band(config: Config, dt: float) -> Config:
+    """The configuration, with the default cut-off of the low-pass if it has none, for samples of a time [s]."""
+    if config.filter.cutoff_hz is not None:
+        return config
+    cutoff_hz = min(band_limit(config), default_cutoff(dt))
     return config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": cutoff_hz})})
 
 
@@ -414,8 +438,6 @@ def signals_of(log: JointLog, model: RobotModel, config: Config, recording: str 
     signals = Signals(log, model.joint_names, config, base_sensors, wrench_channels, contact_channels, recording)
     if base_sensors is not None:
         signals.notices += imu_findings(log)
-        signals.notices += kinematic_notices(signals, model, config)
-    signals.notices += sign_notices(signals, model, config)
     return signals
 
 

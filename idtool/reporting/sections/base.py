@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Literal, TypeVar
 
@@ -202,13 +202,17 @@ def kind_label(kind: str) -> str:
     return kind
 
 
-def kind_unit(kind: str, units: Mapping[str, str]) -> str:
-    """Unit of a kind of rows, from the units by row: those of all joints, or of a force or moment."""
-    of_rows = {row: unit for row, unit in units.items() if row.startswith(f"{kind}_")}
-    if kind == "joints":
-        ends = tuple(f"_{part}_{axis}" for part in ("force", "moment") for axis in "xyz")
-        of_rows = {row: unit for row, unit in units.items() if not row.endswith(ends)}
-    return common_unit(of_rows)
+def kind_units(kinds: Iterable[str], units: Mapping[str, str]) -> dict[str, str]:
+    """Unit of each kind of rows, a key of ``rms_by_kind``, from the units by row.
+
+    The rows of each force and moment are named after it; all others are joints.
+    """
+    of_joints = dict(units)
+    by_kind = {}
+    for kind in kinds:
+        if kind != "joints":
+            by_kind[kind] = common_unit({axis: of_joints.pop(f"{kind}_{axis}") for axis in "xyz"})
+    return {"joints": common_unit(of_joints), **by_kind}
 
 
 def unit_cells(units: Mapping[str, str], joint: str) -> list[Cell]:

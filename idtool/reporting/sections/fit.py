@@ -23,7 +23,7 @@ from idtool.reporting.sections.base import (
     error_cells,
     error_column,
     kind_label,
-    kind_unit,
+    kind_units,
     name_column,
     number_cell,
     percent_cell,
@@ -92,12 +92,13 @@ class ErrorsByKindSection(Section[FitReport]):
             Column("train", help="The identified model, on the data that it was fitted to"),
             Column("held out", help="The identified model, on the held-out data"),
         ]
+        units = kind_units(errors.train, report.units)
         rows = []
         for kind in errors.train:
             cells = []
             for by_kind in (errors.prior_validation, errors.train, errors.validation):
                 cells.append(number_cell(by_kind[kind] if by_kind else None))
-            rows.append([Cell(kind_label(kind)), Cell(kind_unit(kind, report.units)), *cells])
+            rows.append([Cell(kind_label(kind)), Cell(units[kind]), *cells])
         return Table("RMS error by kind; of a force or moment, of its length", columns, rows)
 
 

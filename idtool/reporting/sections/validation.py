@@ -13,7 +13,7 @@ from idtool.reporting.sections.base import (
     Section,
     Table,
     kind_label,
-    kind_unit,
+    kind_units,
     name_column,
     number_cell,
     percent_cell,
@@ -77,9 +77,10 @@ class ModelErrorsByKindSection(Section[ValidationReport]):
         columns = [Column("quantity", kind="words"), name_column("unit"), Column("model")]
         if errors.prior is not None:
             columns.append(Column("prior"))
+        units = kind_units(errors.model, report.units)
         rows = []
         for kind in errors.model:
-            row = [Cell(kind_label(kind)), Cell(kind_unit(kind, report.units)), number_cell(errors.model[kind])]
+            row = [Cell(kind_label(kind)), Cell(units[kind]), number_cell(errors.model[kind])]
             if errors.prior is not None:
                 row.append(number_cell(errors.prior[kind]))
             rows.append(row)

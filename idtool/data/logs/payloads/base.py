@@ -132,7 +132,12 @@ class SensorDecoder:
 
     def channels(self, topic: str) -> tuple[str, ...]:
         """Channel of each number of a topic's messages; empty: the number is not read."""
-        return tuple(number.format(topic) for number in self.numbers)
+        return channel_names(self.numbers, topic)
+
+
+def channel_names(numbers: Sequence[str], topic: str) -> tuple[str, ...]:
+    """Channels of a topic's messages, from names in which {} stands for the name of the topic."""
+    return tuple(number.format(topic) for number in numbers)
 
 
 class JointState(NamedTuple):

@@ -38,10 +38,6 @@ class SensorType:
     dtype: str = "f8"
     texts: int = 0
 
-    def channels(self, topic: str) -> tuple[str, ...]:
-        """Channel of each number of a topic's messages; empty: the number is not read."""
-        return tuple(number.format(topic) for number in self.numbers)
-
     def number_type(self, order: str) -> np.dtype[np.floating]:
         """Type of the numbers with a byte order."""
         return np.dtype(f"{order}{self.dtype}")
