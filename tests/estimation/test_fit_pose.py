@@ -69,7 +69,7 @@ def test_mass_and_centre_of_mass_are_found_without_imu(tmp_path: Path, rate: int
     robot = idtool.fit(model, logs, quick=True).whole_robot
     assert robot is not None
     assert robot.mass == pytest.approx(TRUTH.mass, rel=6e-3)
-    np.testing.assert_allclose(robot.center_of_mass, TRUTH.center_of_mass, atol=1.5e-3)
+    np.testing.assert_allclose(robot.com, TRUTH.center_of_mass, atol=1.5e-3)
 
 
 def test_delay_of_the_pose_is_found_and_its_band_is_lower(tmp_path: Path, stand: Recording) -> None:
