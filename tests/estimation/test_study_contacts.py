@@ -57,6 +57,7 @@ def quadruped(folder: Path, logs: Sequence[str], validate: Sequence[str]) -> Exp
     return load_experiment(model, [folder / log for log in logs], [folder / log for log in validate])
 
 
+@pytest.mark.slow
 def test_study_of_an_arm_that_is_touched(folder: Path) -> None:
     """Its sets see the rows behind the elimination of the force; without this, all of them would be wrong."""
     study = idtool.study(arm(folder, contacts=[TOOL]), folder / "touched.csv", draws=5)

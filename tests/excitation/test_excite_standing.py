@@ -82,6 +82,7 @@ def test_pose_of_the_base_may_be_configured(folder: Path, base_sensor: str) -> N
     assert result.base_parameters
 
 
+@pytest.mark.slow
 def test_errors_are_predicted_in_the_band_of_a_pose(folder: Path) -> None:
     """12 Hz, as `fit` has it for a base without IMU, though the joints' rate allows 40 Hz."""
     content = dict(parse_yaml(folder / "quadruped.yaml", config_text(TRUTH, base_sensor="pose").encode()))
