@@ -190,6 +190,7 @@ def test_offsets_beside_an_unknown_contact_force(folder: Path) -> None:
         assert validation[row] == pytest.approx(train[row], rel=0.3)
 
 
+@pytest.mark.slow
 def test_study_compares_on_a_log_with_another_offset(folder: Path) -> None:
     logs = [folder / "a.csv", folder / "b.csv"]
     study = idtool.study(model(folder), logs, validate=[folder / "c.csv"], draws=5)
