@@ -348,7 +348,7 @@ def scaled_segments(
 
 
 class SearchObjective(Protocol):
-    """What a search minimizes; see `Objective`."""
+    """Function that a search minimizes; see `Objective`."""
 
     pattern: Pattern
     best: Array | None

@@ -12,11 +12,12 @@ from numpy.random import Generator
 from standing_quadruped import PinocchioQuadruped, quadruped_model, random_state
 
 from idtool.common.arrays import Array
+from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.effects.foot_compliance import FootCompliance
 from idtool.dynamics.effects.rigid_body import RigidBodies
-from idtool.robot.config import Config
+from idtool.robot.config import Config, parse_config
 from idtool.robot.model import RobotModel
 
 COMPLIANCE = 4e-5  # m/N
@@ -90,3 +91,10 @@ def test_rigid_balls_add_no_unknown(tmp_path: Path, compliance: str | float) -> 
     unknowns = [c for effect in effects for c in effect.coefficients if isinstance(effect, FootCompliance)]
     expected = {"none": [], "fit": [0.0], 2e-5: [2e-5]}[compliance]
     assert [unknown.prior for unknown in unknowns] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("compliance", ["soft", True, -1e-5, 1.0, None])
+def test_a_compliance_that_cannot_be_is_refused(compliance: object) -> None:
+    contact = {"name": "foot", "link": "foot", "radius": FOOT_RADIUS, "compliance": compliance}
+    with pytest.raises(ConfigError, match="is not a compliance; give fit, none, or a number in m/N"):
+        parse_config({"base": {"kind": "floating"}, "contacts": [contact]}, "")

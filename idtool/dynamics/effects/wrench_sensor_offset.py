@@ -111,7 +111,19 @@ def wrench_sensor_offsets(model: RobotModel, config: Config) -> list[WrenchSenso
 def further_offsets(
     model: RobotModel, sensors: Mapping[int, WrenchSensor], recording: str, seconds: float
 ) -> list[WrenchSensorOffset]:
-    """What the offsets of some sensors, by index, are more than in the model during a log of a length [s]."""
+    """Offsets of some sensors, by index, in one log, in addition to those of the model.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    sensors
+        Index of a sensor among those of the model, and its configuration.
+    recording
+        The log.
+    seconds
+        Its length [s].
+    """
     effects = []
     for i, sensor in sensors.items():
         drift = {recording: drift_times(seconds)} if sensor.has_drift else {}

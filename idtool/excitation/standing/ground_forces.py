@@ -25,7 +25,7 @@ _MIN_NORMAL = 1e-6  # N, in place of less where a ratio is reported
 
 @dataclass(frozen=True)
 class GroundLimits:
-    """What the ground exerts at most.
+    """Limits of the forces between the feet and the ground.
 
     Attributes
     ----------
