@@ -1,6 +1,7 @@
-"""Quadruped on the ground with a hidden effect: what ``idtool diagnose`` names.
+"""Robot on the ground with a hidden effect: what ``idtool diagnose`` names.
 
-Run ``python benchmarks/ground --out FOLDER`` first, then ``python benchmarks/ground_effects.py FOLDER``.
+Run ``python benchmarks/ground --out FOLDER`` first, with ``--robot humanoid`` for a humanoid, then
+``python benchmarks/ground_effects.py FOLDER``.
 
 A model is fitted to the logs without an effect. Then the robot stands, trots and hangs once more with each effect in
 turn, and the model is diagnosed. With ``--inertia refit``, a payload cannot be told from the trunk.
@@ -22,15 +23,15 @@ import numpy as np
 import yaml
 from ground.logs import Sensors, record, write_csv
 from ground.plant import Payload, Physics
-from ground.quadruped import true_quadruped
-from ground.robot import Body
-from ground.robots import KINDS
+from ground.robot import Body, Robot
+from ground.robots import KINDS, TRUE_ROBOTS
 
 import idtool
 
-_JOINT = "FL_calf_joint"
+_JOINTS = {"quadruped": "FL_calf_joint", "humanoid": "l_knee_joint"}  # with the effect
 _PAYLOAD_MASS = 2.5  # kg
-_PAYLOAD_COM = np.array([-0.08, 0.02, 0.09])  # m
+_PAYLOAD_LINKS = {"quadruped": "trunk", "humanoid": "waist_pitch"}
+_PAYLOAD_COM = {"quadruped": np.array([-0.08, 0.02, 0.09]), "humanoid": np.array([-0.12, 0.03, 0.2])}  # m
 _DELAY = 0.006  # s
 _FOOT_RADIUS_CHANGE = 0.01  # m
 _MAX_FALLS = 5
@@ -57,41 +58,43 @@ class Case:
     change: Callable[[dict[str, Any]], None] = lambda config: None
 
 
-def _without_coulomb(config: dict[str, Any]) -> None:
-    config["friction"][_JOINT] = {"viscous": config["friction"][_JOINT]["viscous"], "coulomb": False}
+def cases(truth: Robot) -> dict[str, Case]:
+    """All hidden effects that the robot can have, by name."""
+    joint, payload_link = _JOINTS[truth.name], _PAYLOAD_LINKS[truth.name]
+    payload = Body.ellipsoid(_PAYLOAD_MASS, _PAYLOAD_COM[truth.name], np.array([0.1, 0.07, 0.05]))
+    of_both = {
+        "clean": Case(),
+        "payload": Case("payload", payload_link, physics=Physics(payloads=[Payload(payload_link, payload)])),
+        "coulomb": Case("coulomb_friction", joint, change=partial(_leave_out_coulomb, joint)),
+        "torque_delay": Case("time_delay", None, sensors=Sensors(torque_delay=_DELAY)),
+        "imu_delay": Case("imu_delay", None, sensors=Sensors(imu_delay=_DELAY)),
+        "rotor": Case("rotor_inertia", joint, change=partial(_leave_out_rotor, truth, joint)),
+    }
+    if all(foot.is_sole for foot in truth.feet):
+        return of_both
+    return {**of_both, "foot_radius": Case("foot_radius", None, change=_make_feet_smaller)}
 
 
-def _without_rotor(config: dict[str, Any]) -> None:
+def _leave_out_coulomb(joint: str, config: dict[str, Any]) -> None:
+    config["friction"][joint] = {"viscous": config["friction"][joint]["viscous"], "coulomb": False}
+
+
+def _leave_out_rotor(truth: Robot, joint: str, config: dict[str, Any]) -> None:
     """Take the rotor for a part of the link that carries it, as in a URDF whose masses are right."""
-    rotor = config["rotors"].pop(f"{_JOINT}_rotor")
-    mount = true_quadruped(0).mounts[_JOINT]
+    rotor = config["rotors"].pop(f"{joint}_rotor")
+    mount = truth.mounts[joint]
     parameters = {**rotor["inertial"], "com": mount.position.tolist()}
     config["effects"] = [{"effect": "payload", "link": mount.parent, "parameters": parameters}]
 
 
-def _with_small_feet(config: dict[str, Any]) -> None:
+def _make_feet_smaller(config: dict[str, Any]) -> None:
     for contact in config["contacts"]:
         if "radius" in contact:
             contact["radius"] -= _FOOT_RADIUS_CHANGE
 
 
-def cases() -> dict[str, Case]:
-    """All hidden effects, by name."""
-    payload = Body.ellipsoid(_PAYLOAD_MASS, _PAYLOAD_COM, np.array([0.1, 0.07, 0.05]))
-    return {
-        "clean": Case(),
-        "payload": Case("payload", "trunk", physics=Physics(payloads=[Payload("trunk", payload)])),
-        "coulomb": Case("coulomb_friction", _JOINT, change=_without_coulomb),
-        "torque_delay": Case("time_delay", None, sensors=Sensors(torque_delay=_DELAY)),
-        "imu_delay": Case("imu_delay", None, sensors=Sensors(imu_delay=_DELAY)),
-        "foot_radius": Case("foot_radius", None, change=_with_small_feet),
-        "rotor": Case("rotor_inertia", _JOINT, change=_without_rotor),
-    }
-
-
-def write_logs(folder: Path, case: Case, seconds: float, seed: int) -> list[Path]:
+def write_logs(folder: Path, truth: Robot, case: Case, seconds: float, seed: int) -> list[Path]:
     """Write the logs of a case: stand, walk and hang; another motion is tried if the robot falls."""
-    truth = true_quadruped(seed)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for kind in KINDS:
@@ -110,11 +113,18 @@ def write_logs(folder: Path, case: Case, seconds: float, seed: int) -> list[Path
 
 
 def diagnose_case(
-    folder: Path, config: Mapping[str, Any], seconds: float, seed: int, inertia: Literal["refit", "fixed"], name: str
+    folder: Path,
+    robot: str,
+    config: Mapping[str, Any],
+    seconds: float,
+    seed: int,
+    inertia: Literal["refit", "fixed"],
+    name: str,
 ) -> str:
     """Line of a table: what a diagnosis names of a case."""
-    case = cases()[name]
-    logs = write_logs(folder / name, case, seconds, seed)
+    truth = TRUE_ROBOTS[robot](seed)
+    case = cases(truth)[name]
+    logs = write_logs(folder / name, truth, case, seconds, seed)
     own = copy.deepcopy(dict(config))
     case.change(own)
     own["base"]["imu"]["delay"] = 0  # with auto, the logs would be corrected before the diagnosis
@@ -142,24 +152,25 @@ def _rounded(value: object) -> object:
 
 def main() -> None:
     """Diagnose all cases."""
-    parser = argparse.ArgumentParser(description="What idtool names of a quadruped on the ground.")
+    parser = argparse.ArgumentParser(description="What idtool names of a robot on the ground.")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=16.0, help="length of each log")
-    parser.add_argument("--cases", default=",".join(cases()))
+    parser.add_argument("--cases", help="names, separated by commas; all unless given")
     parser.add_argument("--inertia", choices=("fixed", "refit"), default="fixed")
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
 
     folder = options.folder
+    (robot,) = (name for name in TRUE_ROBOTS if (folder / f"{name}.urdf").exists())
     fitted = folder / "fit"
     if not (fitted / "model.yaml").exists():
-        config = yaml.safe_load((folder / "quadruped.yaml").read_text())
+        config = yaml.safe_load((folder / f"{robot}.yaml").read_text())
         logs = [next(folder.glob(f"{kind}.*")) for kind in KINDS]
-        idtool.fit(idtool.Model(folder / "quadruped.urdf", config=config), logs, quick=True).save(fitted)
+        idtool.fit(idtool.Model(folder / f"{robot}.urdf", config=config), logs, quick=True).save(fitted)
     config = yaml.safe_load((fitted / "model.yaml").read_text())
-    run = partial(diagnose_case, folder, config, options.seconds, options.seed, options.inertia)
-    names = options.cases.split(",")
+    run = partial(diagnose_case, folder, robot, config, options.seconds, options.seed, options.inertia)
+    names = options.cases.split(",") if options.cases else list(cases(TRUE_ROBOTS[robot](options.seed)))
     if options.jobs == 1:
         for name in names:
             print(run(name), flush=True)
