@@ -130,10 +130,11 @@ def _chunk(models: Models, batch: Batch, log_start: float, dt: float, starts_seg
     residuals = []
     valid = []
     for equation, theta in models:
-        measured_torque, predicted_torque, _ = equation.compared_torques(batch, theta)
+        row_filter = equation.row_filter(batch)
+        measured_torque, predicted_torque, _ = equation.compared_torques(batch, theta, row_filter)
         predicted.append(predicted_torque)
         residuals.append(measured_torque - predicted_torque)
-        shares = np.array(equation.row_filter(batch).shares, dtype=float)
+        shares = np.array(row_filter.shares, dtype=float)
         valid.append(shares > MIN_SHARE)
     return ResidualSeries(
         t=batch.t + log_start,

@@ -488,7 +488,9 @@ class LinearModel:
             rows.append(theta[..., active] @ block[:-1])
         return np.stack(rows, axis=-2)
 
-    def compared_torques(self, batch: Batch, theta: Array) -> tuple[Array, Array, Mask]:
+    def compared_torques(
+        self, batch: Batch, theta: Array, row_filter: RowFilter | None = None
+    ) -> tuple[Array, Array, Mask]:
         """Measured torque and that which the model predicts, as they are compared, in the band; and which rows are.
 
         Both are as the sensors give them, but where a motor saturates, as it reaches the joint: what lies between the
@@ -504,13 +506,15 @@ class LinearModel:
             Samples, as measured.
         theta
             Coefficients, shape (..., p).
+        row_filter
+            From `row_filter`; None: that of this equation.
 
         Returns
         -------
         Filtered, shapes (nv, n) and (..., nv, n) [N·m or N]; and the mask of the rows that are compared, shape (nv,).
         """
         if self.contacts is not None:
-            return self._torques_without_contacts(batch, theta)
+            return self._torques_without_contacts(batch, theta, row_filter or self.row_filter(batch))
         undone = self._undone_sensors()
         measured = batch.motion
         for effect in reversed(undone):
@@ -549,11 +553,10 @@ class LinearModel:
         is_compared[list(batch.motion.unknown_torque)] = False
         return is_compared
 
-    def _torques_without_contacts(self, batch: Batch, theta: Array) -> tuple[Array, Array, Mask]:
+    def _torques_without_contacts(self, batch: Batch, theta: Array, row_filter: RowFilter) -> tuple[Array, Array, Mask]:
         """`compared_torques` that differ by what no unknown contact force explains."""
         true = self.true_motion(batch.motion)
         error = self._identified_torque(true) - self._predicted_by_columns(batch.motion, theta)
-        row_filter = self.row_filter(batch)
         by_row = row_filter.filter_rows(np.moveaxis(error, -2, 0))
         measured = batch.filter(true.tau)
         return measured, measured - np.moveaxis(by_row, 0, -2), self.compared_rows(batch, row_filter)

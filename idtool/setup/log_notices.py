@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
-from idtool.robot.urdf.reading import Robot, UrdfJoint
+from idtool.estimation.dataset.joint_ranges import limits_notice
+from idtool.robot.urdf.reading import Robot
 from idtool.setup.loaded_logs import LoadedLog
-
-_FAR = 0.5  # of a joint's range: too far beyond its limits for a zero offset
 
 
 def log_notices(
@@ -78,20 +76,10 @@ def _constant_torque(logs: Sequence[LoadedLog], joints: Sequence[str]) -> Iterat
 def _beyond_limits(robot: Robot, logs: Sequence[LoadedLog]) -> Iterator[Notice]:
     """Positions far beyond the URDF's limits."""
     for log in logs:
-        far = [name for name in log.inspection.joints if name in robot.joints and _is_far(robot.joints[name], log)]
-        if far:
-            joint, q = robot.joints[far[0]], log.inspection.joints[far[0]].signals["q"]
-            name = log.log.path.name
-            limits = f"limits {joint.lower:.4g} to {joint.upper:.4g}"
-            where = f"{join_names(far)} ({q.minimum:.4g} to {q.maximum:.4g}, {limits})"
-            message = f"q is far outside the URDF's limits: {where}"
-            advice = "for degrees, set log.scale of q and v to 0.0174533; otherwise check the unit and the column of q"
-            yield Notice("beyond_limits", "warning", name, message, advice)
-
-
-def _is_far(joint: UrdfJoint, log: LoadedLog) -> bool:
-    q = log.inspection.joints[joint.name].signals.get("q")
-    room = _FAR * (joint.upper - joint.lower)
-    if q is None or not 0 < room < math.inf:
-        return False
-    return q.maximum > joint.upper + room or q.minimum < joint.lower - room
+        ranges = {}
+        for name, joint in log.inspection.joints.items():
+            if q := joint.signals.get("q"):
+                ranges[name] = (q.minimum, q.maximum)
+        notice = limits_notice(robot, ranges)
+        if notice is not None:
+            yield notice.about(log.log.path.name)

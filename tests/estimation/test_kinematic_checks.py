@@ -96,6 +96,16 @@ def test_foot_in_the_air_with_its_flag_set_is_named(tmp_path: Path, walk: Record
     assert "RR_foot" in [notice.subject for notice in notices if notice.code == "foot_slip"]
 
 
+def test_joints_in_degrees_are_named_in_place_of_slipping_feet(tmp_path: Path, walk: Recording) -> None:
+    in_degrees = {name: np.rad2deg(x) for name, x in walk.columns.items() if name[:2] in ("q_", "v_")}
+    urdf, log = write_robot(tmp_path, Recording({**walk.columns, **in_degrees}))
+    result = idtool.inspect(log, urdf=urdf)
+    notice, *others = [notice for notice in result.notices if notice.severity != "note"]
+    assert notice.code == "beyond_limits"
+    assert "set log.scale of q and v to 0.0174533" in notice.advice
+    assert others == []
+
+
 @pytest.mark.parametrize("turn", [(0, 0, 90), (0, 0, 180), (180, 0, 0), (-90, 0, 0), (0, 0, 20)])
 def test_imu_that_is_turned_against_its_link_is_named_with_its_true_place(
     tmp_path: Path, stand: Recording, turn: tuple[int, ...]

@@ -33,6 +33,7 @@ from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks
 from idtool.estimation.dataset.contact_detection import is_foot, is_support, with_detected_contacts
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.imu_delay import with_imu_delay
+from idtool.estimation.dataset.joint_ranges import limits_notice, position_ranges
 from idtool.estimation.dataset.kinematic_checks import kinematic_notices
 from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.estimation.dataset.weights import initial_row_noise
@@ -356,9 +357,14 @@ def prepare(
         config = _with_band_of_logs(config, every)
     _check_detected_contacts(model, config)
     comparison_notices: list[Notice] = []
+    beyond_limits = [limits_notice(robot, position_ranges(log, model.joint_names)) for log in every]
     if model.has_floating_base:
         logs_as_read = every
         every = tuple(with_detected_contacts(log, model, config) for log in logs_as_read)
+        if any(beyond_limits):  # by such positions, legs carry no load
+            every = tuple(
+                replace(after, notices=before.notices) for before, after in zip(logs_as_read, every, strict=True)
+            )
         for before, after in zip(logs_as_read, every, strict=True):
             comparison_notices += after.notices[len(before.notices) :]
         fitted, validated = list(every[: len(fitted)]), list(every[len(fitted) :])
@@ -377,9 +383,12 @@ def prepare(
     config = _with_band_of_logs(config, every)
     shares = [0.0 if validate else holdout] * len(fitted) + [1.0] * len(validated)
     runs = []
-    for log, name, share in zip(every, names, shares, strict=True):
+    for log, name, share, wrong_positions in zip(every, names, shares, beyond_limits, strict=True):
         signals = signals_of(log, model, config, name)
-        notices = [*kinematic_notices(signals, model, config), *sign_notices(signals, model, config)]
+        if wrong_positions is not None:
+            notices = [wrong_positions]
+        else:
+            notices = [*kinematic_notices(signals, model, config), *sign_notices(signals, model, config)]
         comparison_notices += notices
         signals.notices += notices
         runs.append(_split(signals, share))
