@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ground.robot import Array, Body, Foot, Imu, Mount, Robot, Softness
+from ground.robot import Array, Body, Foot, Hook, Imu, Mount, Robot, Softness
 
 SIDES = ("l", "r")
 LEG_PARTS = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
@@ -16,6 +16,7 @@ ARM_PARTS = ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow")
 _AXES = {"roll": np.array([1.0, 0.0, 0.0]), "pitch": np.array([0.0, 1.0, 0.0]), "yaw": np.array([0.0, 0.0, 1.0])}
 _GEAR = 14.0
 _SOLE = np.array([0.03, 0.0, -0.02])  # m, its middle in the foot
+_HOOK = np.array([-0.02, 0.0, 0.4])  # m, in the torso, behind its neck
 _HALF_LENGTH, _HALF_WIDTH = 0.09, 0.045  # m, of the sole
 _SOLE_SOFTNESS = Softness(stiffness=3e5, damping=300.0, shear_stiffness=1.5e5, shear_damping=300.0)
 
@@ -74,6 +75,7 @@ def true_humanoid(seed: int) -> Robot:
         coulomb=rng.uniform(0.15, 0.6, len(axes)),
         wrench_sensors={sensor_joint(side): rng.uniform(-1, 1, 6) * [5, 5, 5, 0.3, 0.3, 0.3] for side in SIDES},
         fallen_height=0.5,
+        hook=Hook(WAIST_PARTS[-1], _HOOK),
     )
 
 

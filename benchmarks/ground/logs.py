@@ -261,7 +261,10 @@ def config_text(robot: Robot, forces: str = "unknown", base_sensor: str = "imu")
             if foot.is_sole:
                 contact |= {"frame": "link", "moment": channels[3:]}
         contacts.append(contact)
-    contacts.append({"name": "rope", "link": robot.base, "kind": "surface", "flag": "contact_rope"})
+    rope = {"name": "rope", "link": robot.base, "kind": "surface", "flag": "contact_rope"}
+    if robot.hook is not None:
+        rope |= {"link": robot.hook.link, "kind": "point", "point": robot.hook.position.tolist()}
+    contacts.append(rope)
     ellipsoids = {}
     for name, body in robot.links.items():
         ellipsoids[name] = [{"center": body.center.tolist(), "semi_axes": body.semi_axes.tolist()}]

@@ -16,8 +16,10 @@ from ground.robot import Array, Body, Foot, Robot
 
 BASE = 6  # coordinates of the base
 
-_HOLD = np.array([4e3, 4e3, 4e3, 400.0, 400.0, 400.0])  # N/m, N m/rad, of the rope that holds a hanging base
+_HOLD = np.array([4e3, 4e3, 4e3, 400.0, 400.0, 400.0])  # N/m, N m/rad, of the frame that holds a hanging base
 _HOLD_DAMPING = np.array([120.0, 120.0, 120.0, 12.0, 12.0, 12.0])
+_ROPE, _ROPE_DAMPING = 1e4, 200.0  # N/m, N s/m
+_HOOK = "hook"
 
 
 @dataclass
@@ -97,6 +99,7 @@ class Plant:
         self._set_joints(q)
         self.v = np.zeros(BASE + len(joints))
         self._height = height
+        self._hook_at: Array | None = None  # of a robot that hangs on a rope, as it begins
         self.wrenches = np.zeros((len(robot.feet), 6))
         self.sensor_wrenches = np.zeros((len(robot.wrench_sensors), 6))
         self._M = np.zeros((self.model.nv, self.model.nv))
@@ -134,8 +137,10 @@ class Plant:
         mujoco.mj_fullM(model, data, self._M)
         force = -self._bias
         self._push_feet(force)
+        if self._physics.is_held and self._robot.hook is not None:
+            self._pull_rope(force)
         generalized = self.G.T @ force
-        if self._physics.is_held:
+        if self._physics.is_held and self._robot.hook is None:
             generalized[:BASE] += self._hold()
         generalized[BASE:] += tau - self._robot.viscous * self.v[BASE:]
         M_inverse = np.linalg.inv(self.G.T @ self._M @ self.G)
@@ -175,6 +180,17 @@ class Plant:
         mujoco.mj_rnePostConstraint(self.model, self.data)
         mujoco.mj_sensorAcc(self.model, self.data)
         self.sensor_wrenches = self.data.sensordata.reshape(self.sensor_wrenches.shape).copy()
+
+    def _pull_rope(self, force: Array) -> None:
+        """Add the force of the rope to the forces on all coordinates."""
+        site = self.data.site(_HOOK)
+        if self._hook_at is None:
+            self._hook_at = site.xpos.copy()
+        velocity = np.zeros(6)
+        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_SITE, site.id, velocity, 0)
+        pull = -_ROPE * (site.xpos - self._hook_at) - _ROPE_DAMPING * velocity[3:]
+        body = self.model.site_bodyid[site.id]
+        mujoco.mj_applyFT(self.model, self.data, pull, np.zeros(3), site.xpos, body, force)
 
     def _hold(self) -> Array:
         """Force and moment of what holds the base, in MuJoCo's coordinates of a free joint."""
@@ -276,6 +292,8 @@ def _model(robot: Robot, physics: Physics) -> mujoco.MjModel:
         for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
             name = f"{joint}_{kind.name}"
             spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=joint)
+    if robot.hook is not None:
+        bodies[robot.hook.link].add_site(name=_HOOK, pos=robot.hook.position)
     for k, payload in enumerate(physics.payloads):
         _set_inertia(bodies[payload.link].add_body(name=f"payload{k}"), payload.body)
     return spec.compile()

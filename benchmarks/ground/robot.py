@@ -111,6 +111,14 @@ class Imu:
 
 
 @dataclass(frozen=True)
+class Hook:
+    """Where a rope is tied to a robot: a link, and a place in it [m]."""
+
+    link: str
+    position: Array
+
+
+@dataclass(frozen=True)
 class Robot:
     """A robot on a floating base.
 
@@ -134,6 +142,8 @@ class Robot:
         Reading without load of the sensor in a fixed joint, shape (6,) [N, N m].
     fallen_height
         Height of the base below which the robot has fallen [m].
+    hook
+        Of the rope on which it hangs; None: a frame holds its base in the air.
     """
 
     name: str
@@ -147,6 +157,7 @@ class Robot:
     coulomb: Array
     wrench_sensors: Mapping[str, Array]
     fallen_height: float
+    hook: Hook | None = None
 
     @property
     def base(self) -> str:
