@@ -21,7 +21,7 @@ from typing import Any, Literal
 
 import numpy as np
 import yaml
-from ground.logs import Sensors, record, write_csv
+from ground.logs import Recording, Sensors, record, write_csv
 from ground.plant import Payload, Physics
 from ground.robot import Body, Robot
 from ground.robots import KINDS, TRUE_ROBOTS
@@ -31,7 +31,7 @@ import idtool
 _JOINTS = {"quadruped": "FL_calf_joint", "humanoid": "l_knee_joint"}  # with the effect
 _PAYLOAD_MASS = 2.5  # kg
 _PAYLOAD_LINKS = {"quadruped": "trunk", "humanoid": "waist_pitch"}
-_PAYLOAD_COM = {"quadruped": np.array([-0.08, 0.02, 0.09]), "humanoid": np.array([-0.12, 0.03, 0.2])}  # m
+_PAYLOAD_COM = {"quadruped": np.array([-0.08, 0.02, 0.09]), "humanoid": np.array([0.03, 0.02, 0.2])}  # m
 _DELAY = 0.006  # s
 _FOOT_RADIUS_CHANGE = 0.01  # m
 _MAX_FALLS = 5
@@ -94,7 +94,7 @@ def _make_feet_smaller(config: dict[str, Any]) -> None:
 
 
 def write_logs(folder: Path, truth: Robot, case: Case, seconds: float, seed: int) -> list[Path]:
-    """Write the logs of a case: stand, walk and hang; another motion is tried if the robot falls."""
+    """Write the logs of a case: stand, walk and hang."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for kind in KINDS:
@@ -102,14 +102,18 @@ def write_logs(folder: Path, truth: Robot, case: Case, seconds: float, seed: int
         paths.append(path)
         if path.exists():
             continue
-        for motion_seed in range(100 * seed + 50, 100 * seed + 50 + _MAX_FALLS):
-            try:
-                recording = record(truth, kind, seconds, motion_seed, copy.deepcopy(case.physics), case.sensors)
-            except RuntimeError:
-                continue
-            write_csv(path, recording)
-            break
+        write_csv(path, _recorded(truth, case, kind, seconds, 100 * seed + 50))
     return paths
+
+
+def _recorded(truth: Robot, case: Case, kind: str, seconds: float, first_seed: int) -> Recording:
+    """Recording of the first motion in which the robot does not fall."""
+    for seed in range(first_seed, first_seed + _MAX_FALLS):
+        try:
+            return record(truth, kind, seconds, seed, copy.deepcopy(case.physics), case.sensors)
+        except RuntimeError as fall:
+            print(f"{kind}: {fall}; another motion is tried", flush=True)
+    raise RuntimeError(f"the robot falls in all motions of the kind {kind}")
 
 
 def diagnose_case(
