@@ -27,8 +27,9 @@ from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import with_delay
+from idtool.estimation.dataset.default_band import with_default_band
 from idtool.estimation.dataset.equality_constraints import equality_constraints
-from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of, with_default_band
+from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.row_noise import with_row_noise
 from idtool.excitation.criteria import Criterion

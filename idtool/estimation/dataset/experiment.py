@@ -13,7 +13,7 @@ from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.data.base_sensors import POSE, BaseSensors, band_limit, needed_channels, sensor_options, sensor_step
+from idtool.data.base_sensors import POSE, BaseSensors, needed_channels, sensor_options
 from idtool.data.contact_channels import ContactChannels
 from idtool.data.controller import with_unknown_torque, without_constant_torque
 from idtool.data.inspection.imu_findings import dead_imu_sensors, imu_findings
@@ -21,7 +21,7 @@ from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.logs.sensor_channels import is_dead, with_sensors
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
-from idtool.data.signals import Batch, Signals, default_cutoff
+from idtool.data.signals import Batch, Signals
 from idtool.data.wrench_channels import WrenchChannels
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
@@ -31,6 +31,7 @@ from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
 from idtool.estimation.dataset.contact_detection import is_foot, is_support, with_detected_contacts
+from idtool.estimation.dataset.default_band import with_band_of_logs
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.imu_delay import with_imu_delay
 from idtool.estimation.dataset.joint_ranges import limits_notice, position_ranges
@@ -354,7 +355,7 @@ def prepare(
         _check_signals(log, model.joint_names)
         _check_sensors(log, config)
     if config.base.uses_pose:  # of which there are noisy derivatives beyond
-        config = _with_band_of_logs(config, every)
+        config, _ = with_band_of_logs(config, every)
     _check_detected_contacts(model, config)
     comparison_notices: list[Notice] = []
     beyond_limits = [limits_notice(robot, position_ranges(log, model.joint_names)) for log in every]
@@ -380,7 +381,8 @@ def prepare(
         model.names, build_effects(model, config), contacts=_contacts(model, config, fitted or every)
     )
     equalities = equality_constraints(config, model, equation)
-    config = _with_band_of_logs(config, every)
+    config, notices = with_band_of_logs(config, every)
+    model = replace(model, notices=(*model.notices, *notices))
     shares = [0.0 if validate else holdout] * len(fitted) + [1.0] * len(validated)
     runs = []
     for log, name, share, wrong_positions in zip(every, names, shares, beyond_limits, strict=True):
@@ -400,19 +402,6 @@ def prepare(
         tuple(runs),
         comparison_notices=tuple(comparison_notices),
     )
-
-
-def _with_band_of_logs(config: Config, logs: Sequence[JointLog]) -> Config:
-    """The configuration with one band for all logs, or their errors could not be added up."""
-    return with_default_band(config, max(max(log.dt, sensor_step(log, config)) for log in logs))
-
-
-def with_default_band(config: Config, dt: float) -> Config:
-    """The configuration, with the default cut-off of the low-pass if it has none, for samples of a time [s]."""
-    if config.filter.cutoff_hz is not None:
-        return config
-    cutoff_hz = min(band_limit(config), default_cutoff(dt))
-    return config.model_copy(update={"filter": config.filter.model_copy(update={"cutoff_hz": cutoff_hz})})
 
 
 def recording_names(logs: Sequence[JointLog]) -> list[str]:
