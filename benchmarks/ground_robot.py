@@ -93,8 +93,9 @@ def outcome_of(folder: Path, robot_name: str, forces: str, seed: int) -> Outcome
     result.save(fitted)
 
     noise = result.model.config["base"]["noise"]
-    reference = true_model(folder, truth, config, noise)
-    measured = read_config(folder, robot_name, "measured")
+    same_band = {"filter": result.model.config["filter"]}
+    reference = true_model(folder, truth, {**config, **same_band}, noise)
+    measured = {**read_config(folder, robot_name, "measured"), **same_band}
     held_out = {}
     for kind in KINDS:
         (log,) = folder.glob(f"{kind}2.*")
