@@ -71,6 +71,20 @@ def test_mass_and_centre_of_mass_are_found(folder: Path, forces: str) -> None:
     assert "floating_base_not_simulated" in [notice.code for notice in again.notices]
 
 
+def test_band_ends_where_the_noise_of_the_gyroscope_counts_unless_it_is_given(folder: Path) -> None:
+    def prepared(**changes: Any) -> tuple[float, list[str]]:
+        model = idtool.Model(folder / "prior.urdf", config=settings("unknown", **changes))
+        experiment = load_experiment(model, (), folder / "stand.csv")
+        return experiment.band_hz, [notice.code for notice in experiment.notices]
+
+    band, codes = prepared()
+    assert 8 <= band < 30
+    assert "band_by_gyroscope" in codes
+    given, codes = prepared(filter={"cutoff_hz": 40})
+    assert given == 40
+    assert "band_by_gyroscope" not in codes
+
+
 def test_written_logs_give_the_same_robot(folder: Path, tmp_path: Path) -> None:
     """A log with its sensors, written as CSV and as MCAP."""
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
@@ -94,7 +108,7 @@ def test_true_robot_leaves_the_noise_of_its_sensors(folder: Path, kind: str, row
     noise |= dict.fromkeys(BASE_COORDINATES[:3], Sensors().accelerometer * TRUTH.mass * in_band)
     noise |= dict.fromkeys(BASE_COORDINATES[3:], 0.02)
     base = {**settings("unknown")["base"], "noise": {name: float(x) for name, x in noise.items()}}
-    model = true_model(folder, "unknown", base=base)
+    model = true_model(folder, "unknown", base=base, filter={"cutoff_hz": 40})
     rms = idtool.validate(model, folder / f"{kind}.csv").rms.model
     in_noise = sum(((rms[name] or 0.0) / noise[name]) ** 2 for name in noise)
     assert 0.4 * rows < in_noise < 1.2 * rows

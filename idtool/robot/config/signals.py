@@ -86,7 +86,7 @@ class LogOptions(ConfigRecord):
 
 
 class Filter(ConfigRecord):
-    """The zero-phase low-pass. Default cut-off: 40 Hz, or a fifth of the sampling rate if that is lower."""
+    """The zero-phase low-pass. Default cut-off: 40 Hz, or less with a low sampling rate or a noisy gyroscope."""
 
     kind: Literal["butterworth"] = "butterworth"
     cutoff_hz: Positive | None = None
