@@ -69,7 +69,7 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
         return {
             "diagnosis.json": as_json(self.to_json()),
             "diagnosis.html": diagnosis_page(self._diagnosis, self, made_by),
-            MODEL_YAML: as_yaml(model_config(last), header),
+            MODEL_YAML: as_yaml(model_config(last, folder), header),
             IDENTIFIED_URDF: identified_urdf_text(last, folder),
         }
 

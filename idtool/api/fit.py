@@ -51,7 +51,7 @@ class FitResult(FitReport, SavableResult, Recordable):
         header = f"Identified by idtool from {urdf}. Together with identified.urdf it is the identified model."
         return {
             IDENTIFIED_URDF: identified_urdf_text(self._fit, folder),
-            MODEL_YAML: as_yaml(model_config(self._fit), header),
+            MODEL_YAML: as_yaml(model_config(self._fit, folder), header),
             "report.json": as_json(self.to_json()),
             "report.html": fit_page(self._fit, self, made_by, self._residual_maps),
         }

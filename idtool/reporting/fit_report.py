@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,7 @@ from idtool.robot.inertia import (
     symmetric_entries,
 )
 from idtool.robot.kinematics import body_placements
+from idtool.robot.meshes import relocated_mesh
 from idtool.robot.urdf.writing import JointDynamics
 from idtool.robot.witness import deviation_ellipsoid
 
@@ -395,8 +397,16 @@ def _urdf_dynamics(fit: Fit, joint: str) -> JointDynamics:
     return JointDynamics(**{kind.urdf_attribute: getattr(report, key) for key, kind in kinds.items()})
 
 
-def model_config(fit: Fit) -> dict[str, Any]:
-    """The content of model.yaml: a complete configuration that with identified.urdf is the identified model."""
+def model_config(fit: Fit, folder: Path | None = None) -> dict[str, Any]:
+    """The content of model.yaml: a complete configuration that with identified.urdf is the identified model.
+
+    Parameters
+    ----------
+    fit
+        The result.
+    folder
+        The folder of the file, from which the meshes of bounding shapes are named; None: the URDF's own.
+    """
     experiment = fit.experiment
     config: Config = experiment.config
     data: dict[str, Any] = config.model_dump(mode="json", exclude_unset=True)
@@ -427,6 +437,11 @@ def model_config(fit: Fit) -> dict[str, Any]:
                 mass, com, inertia = rounded_inertial(fit.parameters(i))
                 inertial = {"mass": mass, "com": com.tolist(), "inertia": symmetric_entries(inertia).tolist()}
                 data["rotors"][body.name]["inertial"] = inertial
+    if folder is not None:
+        for shapes in data.get("bounding_shapes", {}).values():
+            for shape in shapes:
+                if shape.get("file") is not None:
+                    shape["file"] = relocated_mesh(experiment.model.robot.path, shape["file"], folder)
     return data
 
 

@@ -72,7 +72,7 @@ def read_mesh(urdf: Path, name: str) -> Mesh:
     """
     if name.partition("://")[0] in ("http", "https", "ftp"):
         raise UnreadableGeometryError(f"mesh {name} is a web address and is not downloaded")
-    path = next((path for path in _candidate_paths(urdf, name) if _is_file(path)), None)
+    path = mesh_file(urdf, name)
     if path is None:
         raise UnreadableGeometryError(f"mesh {name} is not found")
     kind = path.suffix.lower().removeprefix(".")
@@ -93,6 +93,36 @@ def read_mesh(urdf: Path, name: str) -> Mesh:
         what = f"a vertex that is not within {_MAX_LENGTH:g} m" if len(corners) else "no faces"
         raise UnreadableGeometryError(f"mesh {path} contains {what}")
     return mesh
+
+
+def mesh_file(urdf: Path, name: str) -> Path | None:
+    """The file of a mesh that a URDF, or the configuration beside it, names; None if it is not found."""
+    return next((path for path in _candidate_paths(urdf, name) if _is_file(path)), None)
+
+
+def relocated_mesh(urdf: Path, name: str, folder: Path) -> str:
+    """The name of a mesh for a URDF in another folder: a relative path.
+
+    A name that is not relative, such as that of a package, stays if it is found from the other folder too.
+
+    Parameters
+    ----------
+    urdf
+        The URDF.
+    name
+        The mesh as it or the configuration beside it names it.
+    folder
+        The other folder.
+    """
+    file = mesh_file(urdf, name)
+    if file is None:
+        return name
+    is_relative = "://" not in name and not os.path.isabs(name)
+    found_from_there = mesh_file(folder / urdf.name, name)
+    if not is_relative and found_from_there is not None and found_from_there.samefile(file):
+        return name
+    real_file = os.path.join(os.path.realpath(file.parent), file.name)
+    return Path(os.path.relpath(real_file, os.path.realpath(folder))).as_posix()
 
 
 def numeric_attribute(element: etree._Element, name: str, count: int, default: str = "") -> Array:

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+import yaml
 from commands import LEG, TRAIN
 
 import idtool
 from idtool.robot.geometry import link_surface
-from idtool.robot.meshes import Mesh, merge_meshes, simplify_mesh
+from idtool.robot.meshes import Mesh, merge_meshes, relocated_mesh, simplify_mesh
 from idtool.robot.urdf.reading import Robot
 
 
@@ -80,8 +81,28 @@ def test_what_fit_writes_into_another_folder_finds_its_meshes(tmp_path: Path) ->
     visual = '<link name="shank_link"><visual><geometry><mesh filename="meshes/shank.stl"/></geometry></visual>'
     urdf.write_text(LEG.read_text().replace('<link name="shank_link">', visual))
     assert visual in urdf.read_text()
-    for folder in (tmp_path / "a" / "b", urdf.parent / "out"):
-        result = idtool.fit(idtool.Model(urdf, LEG.with_suffix(".yaml")), TRAIN, quick=True)
+    config = yaml.safe_load(LEG.with_suffix(".yaml").read_text())
+    config["bounding_shapes"] = {"shank_link": [{"kind": "hull", "file": "meshes/shank.stl"}]}
+    result = idtool.fit(idtool.Model(urdf, config), TRAIN, quick=True)
+    for folder in (tmp_path / "a" / "b", urdf.parent / "out", urdf.parent):
         result.save(folder)
         (name,) = re.findall('mesh filename="(.*)"', (folder / "identified.urdf").read_text())
         assert (folder / name).samefile(urdf.parent / "meshes" / "shank.stl")
+        (shape,) = yaml.safe_load((folder / "model.yaml").read_text())["bounding_shapes"]["shank_link"]
+        assert shape["file"] == name
+        identified = idtool.Model(folder / "identified.urdf", folder / "model.yaml")
+        assert identified.bodies == result.model.bodies  # its shapes are read
+
+
+def test_a_mesh_of_a_package_keeps_its_name_if_it_is_found_from_the_other_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "ros" / "leg" / "a.stl"
+    file.parent.mkdir(parents=True)
+    file.touch()
+    urdf = file.with_name("leg.urdf")
+    assert relocated_mesh(urdf, "package://leg/a.stl", tmp_path / "out") == "../ros/leg/a.stl"
+    assert relocated_mesh(urdf, str(file), tmp_path / "out") == str(file)
+    assert relocated_mesh(urdf, "none.stl", tmp_path / "out") == "none.stl"
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "ros"))
+    assert relocated_mesh(urdf, "package://leg/a.stl", tmp_path / "out") == "package://leg/a.stl"
