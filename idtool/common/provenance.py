@@ -20,7 +20,7 @@ class InputFile:
     Attributes
     ----------
     kind
-        ``URDF``, ``configuration`` or ``log``.
+        ``URDF``, ``configuration``, ``mesh``, ``log`` or ``bag metadata``.
     path
         The path as given.
     sha256

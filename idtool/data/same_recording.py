@@ -19,8 +19,8 @@ def is_same_recording(first: JointLog, second: JointLog) -> bool:
     These are files of the same content, or logs of the same length that agree in the joints' positions and in every
     other signal that both have.
     """
-    hashes = [source.sha256 for source in first.sources]
-    if first.sources and hashes == [source.sha256 for source in second.sources]:
+    hashes = _content_hashes(first)
+    if hashes and hashes == _content_hashes(second):
         return True
     if len(first) != len(second):
         return False
@@ -49,6 +49,11 @@ def distinct_names(logs: Sequence[JointLog]) -> list[str]:
     if len(set(names)) == len(names):
         return names
     return [f"{path.absolute().parent.name}/{path.name}" for path in paths]
+
+
+def _content_hashes(log: JointLog) -> list[str | None]:
+    """Hashes of a log's files; the metadata of a bag have no samples."""
+    return [source.sha256 for source in log.sources if source.kind == "log"]
 
 
 def _is_same_signal(first: JointLog, second: JointLog, signal: str, joint: str) -> bool:

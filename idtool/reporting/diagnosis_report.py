@@ -14,7 +14,7 @@ from idtool.estimation.dataset.kinematic_checks import KINEMATIC_FAULTS
 from idtool.reporting.comparison_report import comparison_report
 from idtool.reporting.diagnosis_text import next_steps, summary
 from idtool.reporting.fit_report import fit_report, parameter_units
-from idtool.reporting.results.base import notice_fields, plain_data
+from idtool.reporting.results.base import Source, notice_fields, plain_data
 from idtool.reporting.results.diagnosis import (
     CandidateReport,
     DataFault,
@@ -53,7 +53,7 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str, comparison: Comparison 
     warnings += [*diagnosis.notices, *(comparison.notices if comparison else ())]
     report = DiagnosisReport(
         versions=model.versions,
-        inputs=model.inputs,
+        inputs=[*model.inputs, *_simulator_inputs(comparison)],
         urdf=model.urdf,
         logs=model.logs,
         joints=model.joints,
@@ -93,6 +93,18 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str, comparison: Comparison 
     if comparison and comparison.obstacle and report.verdict in ("explained", "no_disagreement"):
         report = report.model_copy(update={"verdict": "partly_explained"})
     return report.model_copy(update={"next": tuple(next_steps(report))})
+
+
+def _simulator_inputs(comparison: Comparison | None) -> list[Source]:
+    """The simulator's logs; URDF and configuration are those of the robot."""
+    if comparison is None:
+        return []
+    read_for_robot = comparison.measured.last.experiment.sources
+    inputs = []
+    for source in comparison.simulated.last.experiment.sources:
+        if source not in read_for_robot:
+            inputs.append(Source(kind=f"simulator's {source.kind}", path=source.path, sha256=source.sha256))
+    return inputs
 
 
 def _data_fault(fault: Notice) -> DataFault:

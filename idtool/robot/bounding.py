@@ -6,9 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from idtool.robot.config import BoundingShape, HullBound
+from idtool.common.provenance import InputFile, source_from_file
+from idtool.robot.config import BoundingShape, Config, HullBound
 from idtool.robot.ellipsoid import Ellipsoid, minimum_volume_ellipsoid
 from idtool.robot.geometry import link_geometry, link_vertices
+from idtool.robot.meshes import mesh_file
 from idtool.robot.shapes import Hull, Shape, known_shapes
 from idtool.robot.urdf.reading import Robot
 
@@ -63,3 +65,15 @@ def bounding_shape(bound: BoundingShape, robot: Robot, link: str) -> Shape:
     if isinstance(bound, HullBound):
         return Hull.around(link_vertices(robot, link, bound.file))
     return known_shapes()[bound.kind].from_dict(bound.model_dump())
+
+
+def hull_sources(robot: Robot, config: Config) -> list[InputFile]:
+    """Mesh files of the hulls among a configuration's bounding shapes."""
+    sources = []
+    for link, bounds in config.bounding_shapes.items():
+        for bound in bounds:
+            if isinstance(bound, HullBound):
+                names = link_geometry(robot, link).meshes if bound.file is None else (bound.file,)
+                files = [mesh_file(robot.path, name) for name in names]
+                sources += [source_from_file("mesh", file) for file in files if file is not None]
+    return sources

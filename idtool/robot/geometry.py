@@ -40,11 +40,14 @@ class LinkGeometry:
         The parts that were read, in words.
     unreadable
         The parts that were not, and why: where there are any, the points do not enclose the link.
+    meshes
+        Names of the meshes that were read, as in the URDF.
     """
 
     points: Array
     parts_read: tuple[str, ...]
     unreadable: tuple[str, ...]
+    meshes: tuple[str, ...] = ()
 
 
 def link_geometry(robot: Robot, link: str) -> LinkGeometry:
@@ -151,6 +154,7 @@ def _read_elements(urdf: Path, elements: list[etree._Element]) -> LinkGeometry:
     points = [np.empty((0, 3))]
     parts_read: list[str] = []
     unreadable: list[str] = []
+    meshes: list[str] = []
     for element in elements:
         part = _geometry_element(element)
         if part is None:
@@ -164,7 +168,9 @@ def _read_elements(urdf: Path, elements: list[etree._Element]) -> LinkGeometry:
             continue
         filename = part.get("filename")
         parts_read.append(f"{part.tag} {filename}" if filename else str(part.tag))
-    return LinkGeometry(np.concatenate(points), tuple(parts_read), tuple(unreadable))
+        if part.tag == "mesh" and filename:
+            meshes.append(filename)
+    return LinkGeometry(np.concatenate(points), tuple(parts_read), tuple(unreadable), tuple(meshes))
 
 
 def _origin(element: etree._Element) -> tuple[Array, Array]:

@@ -278,7 +278,7 @@ def _candidate_paths(urdf: Path, name: str) -> Iterator[Path]:
             if [folder.name] == package:
                 yield folder / within
     else:
-        yield Path(folders[0], path)
+        yield urdf.parent / path
     for first in range(len(parts) - 1):
         for folder in folders:
             yield Path(folder, *parts[first:])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import shutil
@@ -135,6 +136,13 @@ def test_every_other_byte_of_the_file_is_kept(patched: str) -> None:
     yaw = changed[0][1]
     assert yaw.startswith('      <joint name="yaw" axis="0 0 1" damping="0.9')
     assert yaw.endswith("frictionloss='0.4'/>")
+
+
+def test_the_simulators_log_is_among_the_inputs(pair: Path, report: dict[str, Any]) -> None:
+    inputs = {entry["kind"]: (entry["path"], entry["sha256"]) for entry in report["inputs"]}
+    assert list(inputs) == ["URDF", "log", "simulator's log"]
+    content = (pair / "simulator" / "run1.csv").read_bytes()
+    assert inputs["simulator's log"] == ("simulator/run1.csv", hashlib.sha256(content).hexdigest())
 
 
 def test_a_urdf_is_patched_with_what_it_can_carry(pair: Path) -> None:

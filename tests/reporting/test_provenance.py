@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import shlex
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
+import yaml
 from commands import LEG, TRAIN, VALIDATE, idtool, strict_json
 from pages import Page
 
@@ -59,6 +62,7 @@ def test_a_page_tells_the_command_the_versions_and_the_hashes(folder: Path, comm
     report = strict_json((folder / f"{page} out" / f"{page}.json").read_text())
     urdf, config, bag = folder / "leg.urdf", folder / "leg.yaml", folder / "bag"
     read = [entry("URDF", urdf, "leg.urdf"), entry("configuration", config, "leg.yaml")]
+    read.append(entry("bag metadata", bag / "metadata.yaml", "bag/metadata.yaml"))
     read += [entry("log", path, path.relative_to(folder)) for path in bag.glob("*.mcap")]
     assert report["inputs"] == read
     assert report["versions"]["numpy"] == np.__version__
@@ -87,6 +91,24 @@ def test_a_log_given_twice_stands_once_and_the_prior_apart(folder: Path) -> None
         entry("prior's URDF", folder / "prior.urdf", "prior.urdf"),
         entry("prior's configuration", folder / "prior.yaml", "prior.yaml"),
     ]
+
+
+def test_the_meshes_of_hulls_are_listed(folder: Path) -> None:
+    """One that the configuration names, and one of the URDF."""
+    (folder / "meshes").mkdir()
+    files = {name: folder / "meshes" / f"{name}.stl" for name in ("thigh", "shank")}
+    trimesh.creation.box((0.1, 0.1, 0.5)).export(files["thigh"])
+    trimesh.creation.box((0.1, 0.1, 0.8)).export(files["shank"])
+    visual = '<link name="shank_link"><visual><geometry><mesh filename="meshes/shank.stl"/></geometry></visual>'
+    text = re.sub(r"<visual>.*?</visual>", "", LEG.read_text(), flags=re.DOTALL)
+    (folder / "hulls.urdf").write_text(text.replace('<link name="shank_link">', visual))
+    thigh = {"kind": "hull", "file": "meshes/thigh.stl"}
+    shapes = {"thigh_link": [thigh], "shank_link": [{"kind": "hull"}]}
+    (folder / "hulls.yaml").write_text(yaml.safe_dump({"bounding_shapes": shapes}))
+    done = idtool("fit", "hulls.urdf", "bag", "--quick", "--json", "--quiet", folder=folder)
+    assert done.code == 0, done.err
+    inputs = done.json["inputs"]
+    assert inputs[2:4] == [entry("mesh", files[name], f"meshes/{name}.stl") for name in ("shank", "thigh")]
 
 
 def test_what_was_made_in_python_has_no_hash_and_says_so(folder: Path, tmp_path: Path) -> None:

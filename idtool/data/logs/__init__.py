@@ -33,7 +33,7 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import printable, suggestion
 from idtool.common.outputs import OutputError, check_file
 from idtool.common.provenance import source_from_file
-from idtool.data.logs.bag import ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
+from idtool.data.logs.bag import METADATA, ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
 from idtool.data.logs.log import SIGNALS, JointLog, make_log
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
 from idtool.data.logs.sensor_channels import SensorOptions
@@ -101,11 +101,13 @@ def read_log(
     path = Path(path)
     try:
         log = _read(path, topic, columns, sensors, messages)
-        sources = tuple(source_from_file("log", file) for file in log_files(path))
+        sources = [source_from_file("log", file) for file in log_files(path)]
+        if path.is_dir():
+            sources.insert(0, source_from_file("bag metadata", path / METADATA))
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
     _apply_scale(log, scale)
-    return replace(log, sources=sources)
+    return replace(log, sources=tuple(sources))
 
 
 def _read(

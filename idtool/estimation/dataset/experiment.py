@@ -39,6 +39,7 @@ from idtool.estimation.dataset.kinematic_checks import kinematic_notices
 from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.estimation.dataset.weights import initial_row_noise
 from idtool.estimation.dataset.wrench_sensor_sign import sign_notices
+from idtool.robot.bounding import hull_sources
 from idtool.robot.config import Config
 from idtool.robot.model import RobotModel, build_model, check_wrench_sensors
 from idtool.robot.urdf.reading import Robot
@@ -295,7 +296,10 @@ def _travel(log: JointLog, joint: str) -> float:
 
 def sources_of(robot: Robot, config: Config, logs: Iterable[JointLog] = ()) -> tuple[InputFile, ...]:
     """Files of a robot, a configuration and logs, each once; a log of arrays has no hash."""
-    read = [robot.source, *([config.source] if config.source else [])]
+    read = [robot.source]
+    if config.source:
+        read.append(config.source)
+    read += hull_sources(robot, config)
     for log in logs:
         read += log.sources or [InputFile("log", str(log.path), None)]
     return tuple(dict.fromkeys(read))

@@ -157,7 +157,11 @@ class Result(Record):
 class Source(Record):
     """A file that was read."""
 
-    kind: str = field("`URDF`, `configuration` or `log`; for `--prior`: `prior's URDF` and `prior's configuration`.")
+    kind: str = field(
+        "`URDF`, `configuration`, `mesh` (of a `hull` in `bounding_shapes`), `log` or `bag metadata`; of `--prior` "
+        "with `prior's` in front, as in `prior's URDF`; of `--against` with `simulator's` in front: "
+        "`simulator's log`."
+    )
     path: str = field("Path as given; for a rosbag2 folder, each of its files.")
     sha256: str | None = field("SHA-256 of its bytes; null for a log that was created from arrays.")
 
