@@ -39,6 +39,7 @@ PARAMETERS = {
     "rotor_inertia": {"inertia"},
     "transmission_coupling": {"source", "coefficient"},
     "friction_drift": {"viscous", "coulomb", "time_constant"},
+    "rounded_friction": {"velocity"},
 }
 
 

@@ -189,3 +189,31 @@ def test_its_simulation_is_that_of_an_integrator(tmp_path: Path) -> None:
     simulated = idtool.simulate(idtool.Model(tmp_path / "bar.urdf", config), log, window=0)
     assert np.ptp(found.y[0]) > 1
     assert simulated.rmse.position["hinge"] < 1e-3
+
+
+def test_it_stands_in_place_of_coulomb_friction_without_a_coefficient(tmp_path: Path) -> None:
+    """An entry with the velocity alone: the coefficient is fitted, from 0."""
+    coulomb, velocity = 0.5, 0.1
+    t = np.arange(0, 8, 2e-3)
+    q = np.sin(2.0 * t) + 0.3 * np.cos(7.0 * t)
+    v = 2.0 * np.cos(2.0 * t) - 2.1 * np.sin(7.0 * t)
+    a = -4.0 * np.sin(2.0 * t) - 14.7 * np.cos(7.0 * t)
+    tau = 0.2 * a + coulomb * np.tanh(v / velocity)
+    (tmp_path / "bar.urdf").write_text(
+        '<robot name="bar"><link name="base"/><link name="bar"><inertial><mass value="1"/>'
+        '<inertia ixx="0.2" iyy="0.2" izz="0.2" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="hinge" type="continuous"><parent link="base"/><child link="bar"/>'
+        '<axis xyz="0 0 1"/></joint></robot>'
+    )
+    entry = {"effect": "rounded_friction", "joint": "hinge", "parameters": {"velocity": velocity}}
+    config = {"effects": [entry], "friction": {"hinge": {"coulomb": False}}}
+    log = idtool.Log.from_arrays("run", t, ["hinge"], q=q[:, None], v=v[:, None], tau=tau[:, None])
+    model = idtool.Model(tmp_path / "bar.urdf", config)
+    result = idtool.fit(model, log, quick=True)
+    assert result.friction["hinge"].coulomb is None
+    (effect,) = result.effects
+    assert effect.parameters["coulomb"] == pytest.approx(coulomb, rel=0.02)
+    (written,) = result.model.config["effects"]
+    assert written["parameters"]["coulomb"]["value"] == pytest.approx(coulomb, rel=0.02)
+    started = idtool.validate(model, log, simulation=False)
+    assert started.rms.model["hinge"] == pytest.approx(coulomb, rel=0.1)  # its prior is 0

@@ -43,6 +43,8 @@ class JointEffect(NamedEffect):
         True for a prismatic joint.
     nonlinear_values
         Values of the nonlinear parameters, and what follows from them.
+    optional_linear_parameters
+        The linear parameters that an entry may leave out; they are then 0.
 
     Parameters
     ----------
@@ -53,6 +55,8 @@ class JointEffect(NamedEffect):
     nonlinear_values
         Values of the nonlinear parameters.
     """
+
+    optional_linear_parameters: tuple[str, ...] = ()
 
     def __init__(self, model: RobotModel, joint: int, nonlinear_values: Mapping[str, float] | None = None) -> None:
         self.joint: int | Indices = joint
@@ -100,9 +104,14 @@ class JointEffect(NamedEffect):
             for parameter in cls.nonlinear_parameters
             if parameter.name in entry.parameters or not parameter.may_be_left_out
         ]
-        check_parameter_names(entry, (*cls.linear_parameters(), *(parameter.name for parameter in given)))
+        optional = cls.optional_linear_parameters
+        required = [name for name in cls.linear_parameters() if name not in optional]
+        required += [parameter.name for parameter in given]
+        check_parameter_names(entry, tuple(required), optional)
 
-        values = {name: read_number(entry, name) for name in cls.linear_parameters()}
+        values: dict[str, float] = {}
+        for name in cls.linear_parameters():
+            values[name] = read_number(entry, name) if name in entry.parameters else 0.0
         nonlinear_values = {parameter.name: _read_nonlinear(entry, parameter, model, joint) for parameter in given}
         effect = cls.with_values(model, joint, values, nonlinear_values)
         for c in effect.coefficients:

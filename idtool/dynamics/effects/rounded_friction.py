@@ -26,6 +26,8 @@ _MAX_LEAD = 0.05  # s
 class RoundedFriction(JointTerm):
     """c tanh(v / velocity), beside Coulomb friction, c sign(v): the data decide the share of each.
 
+    With ``coulomb: false`` in the joint's ``friction``, it stands in place of Coulomb friction.
+
     With a lead [s], which may be left out, it is c clip(v / velocity, −1, 1) of the velocity that much later. This is
     MuJoCo's friction loss, a soft constraint: its force is proportional to b v + a up to its limit, with
     b = 2 / (d_max timeconst), so that it changes its sign 1 / b before the velocity does.
@@ -36,6 +38,7 @@ class RoundedFriction(JointTerm):
     excitation_hint = "slow reversals"
     requires = ("coulomb_friction",)
     coefficient_name = "coulomb"
+    optional_linear_parameters = ("coulomb",)
     is_friction = True
     reportable = False
     units = ("N·m", "N")
