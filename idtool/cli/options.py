@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from idtool.common.exceptions import ConfigError, ModelError
+from idtool.common.input_files import missing_file_advice
 from idtool.common.names import stem
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def require_log(context: typer.Context, logs: Any) -> Any:
     if logs or context.resilient_parsing or (urdf and is_bag(urdf)):
         return logs
     if urdf and not os.path.exists(urdf):  # of any name, however long
-        raise ModelError(urdf, "there is no such file")
+        raise ModelError(urdf, f"there is no such file; {missing_file_advice(urdf)}")
     raise ConfigError("command", f"missing argument 'LOG'; try {context.command_path} --help")
 
 

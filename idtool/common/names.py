@@ -9,6 +9,7 @@ from pathlib import Path
 
 _MAX_LENGTH = 60
 _MAX_LISTED = 6
+_MIN_SIMILARITY = 0.5  # of names, by difflib, from 0 to 1
 
 
 def printable(name: str) -> str:
@@ -36,8 +37,14 @@ def count_text(number: int, noun: str) -> str:
 
 def suggestion(name: str, known: Collection[str]) -> str:
     """Hint for an unknown name: the most similar known one, or a list of the known ones."""
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {printable(close[0])}?" if close else f"available: {join_names(known)}"
+    closest = closest_name(name, known)
+    return f"did you mean {printable(closest)}?" if closest else f"available: {join_names(known)}"
+
+
+def closest_name(name: str, known: Collection[str]) -> str | None:
+    """The most similar known name; None if none is similar."""
+    close = difflib.get_close_matches(name, known, n=1, cutoff=_MIN_SIMILARITY)
+    return close[0] if close else None
 
 
 def stem(path: Path) -> str:

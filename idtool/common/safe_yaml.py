@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from idtool.common.exceptions import ConfigError
+from idtool.common.input_files import read_error_text
 
 _MAX_BYTES = 1 << 20  # no configuration or bag metadata is larger
 _MAX_NODES = 200_000  # with aliases followed, so that nested aliases cannot blow up
@@ -31,7 +32,7 @@ def yaml_bytes(path: Path) -> bytes:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
     except OSError as error:
-        raise ConfigError(path, f"cannot be read ({error.strerror})") from None
+        raise ConfigError(path, read_error_text(path, error)) from None
     if len(data) > _MAX_BYTES:
         raise ConfigError(path, f"is larger than {_MAX_BYTES >> 20} MiB")
     return data
@@ -63,13 +64,15 @@ def parse_yaml(path: Path, data: bytes, *, as_text: bool = False) -> Any:
         return loader.construct_document(root)
     except yaml.MarkedYAMLError as error:
         line = f" in line {error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise ConfigError(path, f"is not YAML{line}: {error.problem}") from None
+        raise ConfigError(path, f"is not YAML{line}: {error.problem}; correct it there") from None
     except RecursionError:
-        raise ConfigError(path, "is not YAML: its lists or mappings are nested too deeply") from None
+        raise ConfigError(
+            path, "is not YAML: its lists or mappings are nested too deeply; write fewer levels"
+        ) from None
     except ConfigError:
         raise
     except Exception as error:  # the parser has no error of its own for a tag that does not fit its value
-        raise ConfigError(path, f"is not YAML: {error}") from None
+        raise ConfigError(path, f"is not YAML: {error}; write plain values in UTF-8") from None
 
 
 def _check_nodes(path: Path, root: yaml.Node, longest: int) -> None:

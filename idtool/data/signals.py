@@ -291,7 +291,8 @@ class Signals:
             raise LogError(
                 self.log.path,
                 f"no segment without gaps is longer than the {(first + self._margin) * self.log.dt:.2f} s that the "
-                f"{self.band_hz:g} Hz filter and the derivatives need",
+                f"{self.band_hz:g} Hz filter and the derivatives need; give a longer log, or one with fewer gaps "
+                "(idtool inspect shows them)",
             )
         if len(long_enough) < len(ranges):
             count = len(ranges) - len(long_enough)

@@ -23,7 +23,10 @@ BOMB = "".join(
 
 FILES: dict[str, tuple[str | bytes, str]] = {
     "binary": (bytes(range(256)), "is not YAML"),
-    "not YAML": ("joints: [hip", "is not YAML in line 1"),
+    "not YAML": (
+        "joints: [hip",
+        "is not YAML in line 1: expected ',' or ']', but got '<stream end>'; correct it there",
+    ),
     "two documents": ("{}\n---\n{}", "is not YAML"),
     "a list": ("[joints, rotors]", "is not a configuration"),
     "a word": ("leg", "is not a configuration"),

@@ -32,7 +32,7 @@ def every(value: object) -> list[Row]:
 
 
 CSV: dict[str, tuple[bytes | list[Row], str]] = {
-    "empty": (b"", "is empty"),
+    "empty": (b"", "is empty; check the logger, or give another log"),
     "blank lines": (b"\n\n\n", "is not a log"),
     "zeros": (bytes(5000), "is not a log"),
     "binary": (bytes(range(256)) * 20, "is not a log"),

@@ -124,7 +124,11 @@ def test_the_installed_command(folder: Path) -> None:
     assert (done.code, done.err) == (1, "")
     assert "bound not met: overall" in done.out
     done = installed("fit", "leg.urdf", "run9.mcap", "--out", "out", folder=folder)
-    assert (done.code, done.out, done.err) == (2, "", "error: run9.mcap: there is no such file\n")
+    assert (done.code, done.out, done.err) == (
+        2,
+        "",
+        "error: run9.mcap: there is no such file; did you mean run1.mcap?\n",
+    )
 
 
 def test_quiet_prints_nothing(folder: Path) -> None:
@@ -136,7 +140,7 @@ def test_quiet_prints_nothing(folder: Path) -> None:
 def test_quiet_still_prints_errors(folder: Path) -> None:
     done = idtool("fit", "leg.urdf", "none.mcap", "--quiet", folder=folder)
     assert (done.code, done.out) == (2, "")
-    assert done.err == "error: none.mcap: there is no such file\n"
+    assert done.err == "error: none.mcap: there is no such file; check the path\n"
 
 
 @pytest.mark.parametrize(

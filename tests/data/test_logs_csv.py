@@ -263,7 +263,7 @@ def test_no_line_end_is_no_cut(written: Written) -> None:
             "t,q.abad,v.abad\n0,1,2\n",
             "is not a log: its first line has no joint signal (columns: t, q.abad, v.abad); name the",
         ),
-        ("t,q_hip\n", "has no samples after the header line"),
+        ("t,q_hip\n", "has no samples after the header line; check the logger, or give another log"),
         ("t,q_hip", "has no samples after the header line"),
         ("t,q_hip\n1,2\n", "has 1 sample; at least two are needed"),
         ("\n\n", "is not a log: its first line has no joint signal (columns: none)"),

@@ -83,7 +83,10 @@ PAIR = '<robot name="r"><link name="l0"/><link name="l1">{}</link>{}</robot>'
         ("joint: hip", "is not XML"),
         (b"\x00\x01\x02", "is not XML"),
         (chain(link(1))[:-9], "is not XML"),
-        ("<robot>\n<link\n<a/></robot>", "is not XML: error parsing attribute name (line 3, column 1)"),
+        (
+            "<robot>\n<link\n<a/></robot>",
+            "is not XML: error parsing attribute name (line 3, column 1); correct the file there",
+        ),
         ("<robot>\n<ge", "is not XML: Couldn't find end of Start Tag ge (line 2, column 4)"),
         ("<a>" * 2000 + "</a>" * 2000, "is not XML"),
         ("<html/>", "its root element is <html>, not <robot>"),

@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import BinaryIO, Protocol, cast
 
 from idtool.common.exceptions import LogError
+from idtool.common.input_files import missing_file_advice
 from idtool.common.names import printable, suggestion
 from idtool.common.outputs import OutputError, check_file
 from idtool.common.provenance import source_from_file
@@ -125,11 +126,11 @@ def _read(
             path = path.resolve()
         return read(path, topic, columns, sensors, messages)
     if not path.is_file():
-        raise LogError(path, "there is no such file")
+        raise LogError(path, f"there is no such file; {missing_file_advice(path)}")
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
     if not head:
-        raise LogError(path, "is empty")
+        raise LogError(path, "is empty; check the logger, or give another log")
     for log_format in _formats():
         if log_format.matches(head):
             return log_format.read(path, topic, columns, sensors, messages)

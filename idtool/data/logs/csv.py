@@ -86,7 +86,7 @@ def read(
             signals = {signal: with_nan[:, i] for signal, i in positions.items()}
             samples.append([Samples(np.arange(len(filled)), filled[:, 0], column_map.joints, signals)])
     if not len(samples):
-        raise LogError(path, "has no samples after the header line")
+        raise LogError(path, "has no samples after the header line; check the logger, or give another log")
     t, joints, arrays = samples.arrays()
     notices: list[Notice] = []
     if column_map.unused:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from idtool.common.exceptions import ModelError
+from idtool.common.input_files import read_error_text
 from idtool.reporting.export.base import Export
 from idtool.reporting.export.file_patch import FilePatch
 from idtool.reporting.export.identified import IdentifiedModel
@@ -38,7 +39,7 @@ def patch_file(identified: IdentifiedModel, path: Path, changes: Sequence[Change
     try:
         text = path.read_bytes()
     except OSError as error:
-        raise ModelError(path, f"cannot be read ({error.strerror})") from None
+        raise ModelError(path, read_error_text(path, error)) from None
     tag = parse_xml(path, text).tag
     if tag not in _FORMATS:
         raise ModelError(path, f"is neither MJCF nor URDF: its root element is <{tag}>, not <mujoco> or <robot>")

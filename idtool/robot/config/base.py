@@ -79,6 +79,7 @@ def validate_record(record: type[R], data: Any, where: str) -> R:
         if first["type"] == "value_error":  # in our own words, which may begin with a name
             raise ConfigError(f"{where}: {key}" if key else where, first["msg"].removeprefix("Value error, ")) from None
         message = first["msg"].split(" or instance of ")[0]
-        message = message.replace("valid tuple", "list").replace("valid dictionary", "mapping of keys to values")
+        message = message.replace("valid tuple", "list; write it in brackets, or each item after a dash")
+        message = message.replace("valid dictionary", "mapping of keys to values; write it as key: value")
         message = message[0].lower() + message[1:]
         raise ConfigError(f"{where}: {key}" if key else where, message) from None

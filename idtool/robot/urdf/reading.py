@@ -18,6 +18,7 @@ from lxml import etree
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
+from idtool.common.input_files import read_error_text
 from idtool.common.provenance import InputFile, source_from_bytes
 from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia
 
@@ -134,7 +135,7 @@ def read_robot(path: Path) -> Robot:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
     except OSError as error:
-        raise ModelError(path, f"cannot be read ({error.strerror})") from None
+        raise ModelError(path, read_error_text(path, error)) from None
     if data.startswith(b"\x89MCAP") or not (path.suffix.lower() in _SUFFIXES or data.lstrip().startswith(b"<")):
         raise ModelError(path, "is a log; give the URDF first and the logs after it")
     return parse_robot(path, data)
@@ -187,7 +188,7 @@ def parse_xml(path: Path, data: bytes) -> etree._Element:
     try:
         root = etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:
-        raise ModelError(path, f"is not XML: {_syntax_error_text(error)}") from None
+        raise ModelError(path, f"is not XML: {_syntax_error_text(error)}; correct the file there") from None
     if root.getroottree().docinfo.internalDTD is not None:
         raise ModelError(path, "declares a document type, which it does not need; remove it")
     return root
