@@ -136,7 +136,10 @@ def test_named_columns(written: Written) -> None:
     ("columns", "said"),
     [
         ({"q_hip": "angl"}, "has no column angl; did you mean angle?"),
-        ({"position_hip": "angle"}, "log.columns: position_hip is not a canonical name; use t or <signal>_<joint>"),
+        ({"angle_hip": "angle"}, "log.columns: angle_hip is not a canonical name; use t or <signal>_<joint>"),
+        ({"position_hip": "angle"}, "log.columns: position_hip is not a canonical name; did you mean q_hip?"),
+        ({"taus_hip": "angle"}, "log.columns: taus_hip is not a canonical name; did you mean tau_hip?"),
+        ({"tt": "angle"}, "log.columns: tt is not a canonical name; did you mean t?"),
         ({"q_hip": "twice"}, "has 2 columns twice"),
     ],
 )

@@ -13,7 +13,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from idtool.common.exceptions import LogError
-from idtool.common.names import join_names, printable, suggestion
+from idtool.common.names import closest_name, join_names, printable, suggestion
 from idtool.data.logs.log import SIGNALS
 from idtool.data.logs.sensor_channels import SENSOR_CHANNEL
 
@@ -108,11 +108,21 @@ def _parse_canonical(path: Path, name: str) -> JointSignal | str:
     """Signal and joint of a canonical name; that of the time or of a sensor's channel is returned as it is."""
     match = _CANONICAL.fullmatch(name)
     if not match and name != "t" and not SENSOR_CHANNEL.fullmatch(name):
-        names = join_names(SIGNALS)
-        raise LogError(
-            path, f"log.columns: {printable(name)} is not a canonical name; use t or <signal>_<joint> ({names})"
-        )
+        raise LogError(path, f"log.columns: {printable(name)} is not a canonical name; {_canonical_hint(name)}")
     return (match[1], match[2]) if match else name
+
+
+def _canonical_hint(name: str) -> str:
+    """Hint for a name that is not canonical: the most similar one that is, or how they are made."""
+    word, separator, joint = name.partition("_")
+    if separator:
+        signal = _FIELDS.get(word) or closest_name(word, SIGNALS)
+        closest = f"{signal}_{joint}" if signal else None
+    else:
+        closest = closest_name(name, ["t"])
+    if closest:
+        return f"did you mean {printable(closest)}?"
+    return f"use t or <signal>_<joint> ({join_names(SIGNALS)})"
 
 
 def _column_index(path: Path, header: Sequence[str], column: str) -> int:
