@@ -127,7 +127,7 @@ def test_the_installed_command(folder: Path) -> None:
     assert (done.code, done.out, done.err) == (
         2,
         "",
-        "error: run9.mcap: there is no such file; did you mean run1.mcap?\n",
+        "error: run9.mcap: there is no such file; did you mean run3.mcap?\n",
     )
 
 
