@@ -62,7 +62,7 @@ def find_feet(
     config
         Its configuration.
     names
-        Names of the contacts; none: all that are not on the base.
+        Names of the contacts; none: all at the ends of limbs. A rope may hold the torso.
     sole_size
         Length and width of every sole about its contact [m]; None: by the geometry of the link.
 
@@ -79,13 +79,20 @@ def find_feet(
         if name not in candidates:
             what = f"{name} is not a contact of the configuration off the base; {suggestion(name, candidates)}"
             raise ConfigError("--feet", what)
-    chosen = [candidates[name] for name in dict.fromkeys(names or candidates)]
+    at_ends = [name for name, contact in candidates.items() if _is_at_end(contact, model)]
+    chosen = [candidates[name] for name in dict.fromkeys(names or at_ends)]
     has_sole = any(contact.kind == "surface" for contact in chosen)
     if not has_sole and len(chosen) < _MIN_FEET_POINTS:
         given = join_names([contact.name for contact in chosen]) or "none"
         what = f"a robot stands on at least three points or on a surface, but the feet are {given}"
         raise ConfigError("contacts", f"{what}; add the other feet to contacts, or leave out --stand")
     return tuple(_foot(model, contact, sole_size) for contact in chosen)
+
+
+def _is_at_end(contact: Contact, model: RobotModel) -> bool:
+    """True for a contact on a link that carries no other moving link."""
+    carriers = {body.mount.body for body in model.bodies if body.kind == "link"}
+    return model.frames[contact.link].body not in carriers
 
 
 def _foot(model: RobotModel, contact: Contact, sole_size: tuple[float, float] | None) -> Foot:
