@@ -67,6 +67,7 @@ def test_split_files_are_logs_of_their_own(folder: Path) -> None:
     assert report["theta"] != adapted(folder, "split")["theta"]
 
 
+@pytest.mark.slow
 def test_a_study_takes_the_robot_from_the_bag(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("idtool.estimation.study.study.LOCAL", {})
     done = idtool("study", "run.mcap", "--draws", "5", "--json", "--quiet", folder=folder)

@@ -287,6 +287,7 @@ def test_logs_of_motions_that_are_hardly_alike_are_named() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_delay_of_a_position_controller_is_compared(tmp_path: Path) -> None:
     """Logs with commands and no torque; the torque is that of the controller in the configuration."""
     (tmp_path / "arm.urdf").write_text(URDF)

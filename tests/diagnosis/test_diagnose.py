@@ -217,6 +217,7 @@ def test_a_payload_heavier_than_the_robot_is_not_believed(folder: Path) -> None:
     assert (right["verdict"], right["steps"][0]["evidence"]["doubt"]) == ("explained", "")
 
 
+@pytest.mark.slow
 def test_friction_that_builds_up_over_a_third_of_the_travel_is_found(folder: Path) -> None:
     """The search comes to a displacement of more than a quarter of the joint's travel, 3.2 rad."""
     friction = {"displacement": 0.9, "amplitude": 3.0, "damping": 0.0}

@@ -101,6 +101,7 @@ def test_a_payload_is_weighed_on_the_link_that_carries_it(tmp_path: Path) -> Non
     assert step["validation_rms_after"]["overall"] < 0.03 * step["validation_rms_before"]["overall"]
 
 
+@pytest.mark.slow
 def test_a_payload_is_weighed_on_the_leg_that_carries_it(tmp_path: Path) -> None:
     """On a calf of a quadruped whose torque is its controller's: with the model of other logs.
 

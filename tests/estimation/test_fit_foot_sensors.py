@@ -57,6 +57,7 @@ def settings() -> dict[str, Any]:
     return {**config, "wrench_sensors": [{"joint": f"{foot}_joint"} for foot in FEET]}
 
 
+@pytest.mark.slow
 def test_sensors_above_the_feet_tell_the_mass_that_the_ground_carries(folder: Path) -> None:
     """Their offsets too, though the ground's forces on the feet are unknown."""
     model = idtool.Model(folder / "prior.urdf", config=settings())

@@ -78,6 +78,7 @@ def test_study_of_an_arm_that_is_touched(folder: Path) -> None:
     assert ignored.sets["none"].rms.validation["overall"] > 10 * study.sets["none"].rms.validation["overall"]
 
 
+@pytest.mark.slow
 def test_study_leaves_out_joints_without_torque(folder: Path) -> None:
     model = arm(folder, wrench_sensors=[{"joint": SENSOR}])
     study = idtool.study(model, folder / "without_torque.csv", draws=5)

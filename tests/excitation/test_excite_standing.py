@@ -70,6 +70,7 @@ def test_page_and_terminal_show_the_feet(report: dict[str, Any]) -> None:
     assert "tightest limit" in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base_sensor", ["pose", "imu and pose"])
 def test_pose_of_the_base_may_be_configured(folder: Path, base_sensor: str) -> None:
     """In place of an IMU or beside it: errors are predicted all the same."""

@@ -58,6 +58,7 @@ def first_config(urdf: Path, logs: list[Path], given: Mapping[str, Any]) -> Init
     return make_initial_config(read_robot(urdf), logs, given, None, lambda stage, share: None)
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_the_configuration_by_hand(
     tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
 ) -> None:
@@ -91,6 +92,7 @@ def test_what_holds_the_robot_without_a_flag_is_found(
     assert len(first_config(urdf, logs[:1], NO_TRIALS).data["contacts"]) == len(FEET)
 
 
+@pytest.mark.slow
 def test_mass_is_that_of_the_ground_logs_though_something_holds_the_robot_in_another(
     tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
 ) -> None:
@@ -201,6 +203,7 @@ def test_radius_of_feet_without_a_sphere_is_found_by_how_they_roll(
     assert "radius of FL_foot, FR_foot, RL_foot, RR_foot: unknown" not in first.text
 
 
+@pytest.mark.slow
 def test_radius_is_left_to_the_user_without_standing_and_where_a_foot_slips(
     tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
 ) -> None:
