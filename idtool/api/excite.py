@@ -27,7 +27,7 @@ from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import with_delay
-from idtool.estimation.dataset.default_band import with_default_band
+from idtool.estimation.dataset.cutoff import with_cutoff_for_period
 from idtool.estimation.dataset.equality_constraints import equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of
 from idtool.estimation.dataset.weights import free_noise
@@ -213,7 +213,7 @@ def excite(
     check = partial(_check_torque, model.robot, model.settings)
     experiment = _load_experiment(model.robot, given, paths, check, report_progress)
     if experiment is None:
-        given = with_default_band(given, 1 / rate)
+        given = with_cutoff_for_period(given, 1 / rate)
     standing = None
     if stand:
         friction = _FRICTION_COEFFICIENT if friction_coefficient is None else friction_coefficient

@@ -11,6 +11,7 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from hashlib import blake2b
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -34,6 +35,24 @@ _PROJECTED_TOGETHER = 40  # columns from which contact forces are eliminated tog
 _CLEAN_WEIGHT = 0.03  # share by magnitude up to which invalid samples do not show in a filtered one
 
 OperatingPoint = Mapping[tuple[str, str, str, tuple[float, ...]], float]  # coefficients by key
+
+
+class ComparedTorques(NamedTuple):
+    """Measured and predicted torque as they are compared, low-passed.
+
+    Attributes
+    ----------
+    measured
+        Shape (nv, n) [N·m or N].
+    predicted
+        Shape (..., nv, n) for coefficients of shape (..., p).
+    is_compared
+        Mask of the rows that are compared, shape (nv,).
+    """
+
+    measured: Array
+    predicted: Array
+    is_compared: Mask
 
 
 @dataclass(frozen=True)
@@ -488,10 +507,8 @@ class LinearModel:
             rows.append(theta[..., active] @ block[:-1])
         return np.stack(rows, axis=-2)
 
-    def compared_torques(
-        self, batch: Batch, theta: Array, row_filter: RowFilter | None = None
-    ) -> tuple[Array, Array, Mask]:
-        """Measured torque and that which the model predicts, as they are compared, in the band; and which rows are.
+    def compared_torques(self, batch: Batch, theta: Array, row_filter: RowFilter | None = None) -> ComparedTorques:
+        """Measured and predicted torque as they are compared, in the band.
 
         Both are as the sensors give them, but where a motor saturates, as it reaches the joint: what lies between the
         motor and the log, such as a gain, is then undone too.
@@ -508,13 +525,9 @@ class LinearModel:
             Coefficients, shape (..., p).
         row_filter
             From `row_filter`; None: that of this equation.
-
-        Returns
-        -------
-        Filtered, shapes (nv, n) and (..., nv, n) [N·m or N]; and the mask of the rows that are compared, shape (nv,).
         """
         if self.contacts is not None:
-            return self._torques_without_contacts(batch, theta, row_filter or self.row_filter(batch))
+            return self._projected_torques(batch, theta, row_filter or self.row_filter(batch))
         undone = self._undone_sensors()
         measured = batch.motion
         for effect in reversed(undone):
@@ -532,7 +545,7 @@ class LinearModel:
         measured_torque = batch.filter(measured.tau)
         for joint in batch.motion.unknown_torque:
             predicted[..., joint, :] = measured_torque[joint]
-        return measured_torque, predicted, self.compared_rows(batch)
+        return ComparedTorques(measured_torque, predicted, self.compared_rows(batch))
 
     def compared_rows(self, batch: Batch, row_filter: RowFilter | None = None) -> Mask:
         """Mask of the rows that are compared, shape (nv,).
@@ -553,13 +566,15 @@ class LinearModel:
         is_compared[list(batch.motion.unknown_torque)] = False
         return is_compared
 
-    def _torques_without_contacts(self, batch: Batch, theta: Array, row_filter: RowFilter) -> tuple[Array, Array, Mask]:
-        """`compared_torques` that differ by what no unknown contact force explains."""
+    def _projected_torques(self, batch: Batch, theta: Array, row_filter: RowFilter) -> ComparedTorques:
+        """`compared_torques` of a robot with contacts: their difference is what no unknown contact force explains."""
         true = self.true_motion(batch.motion)
-        error = self._identified_torque(true) - self._predicted_by_columns(batch.motion, theta)
-        by_row = row_filter.filter_rows(np.moveaxis(error, -2, 0))
+        residual = self._identified_torque(true) - self._predicted_by_columns(batch.motion, theta)
+        rows_first = np.moveaxis(residual, -2, 0)
+        projected_residual = np.moveaxis(row_filter.filter_rows(rows_first), 0, -2)
         measured = batch.filter(true.tau)
-        return measured, measured - np.moveaxis(by_row, 0, -2), self.compared_rows(batch, row_filter)
+        predicted = measured - projected_residual
+        return ComparedTorques(measured, predicted, self.compared_rows(batch, row_filter))
 
     def _undone_sensors(self) -> list[Effect]:
         """Sensors behind which errors are compared: motors that saturate, and what is nearer to the log on a joint.

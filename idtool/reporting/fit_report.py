@@ -178,9 +178,10 @@ def _errors_by_kind(rms: TorqueErrors, kinds: Mapping[str, Sequence[str]]) -> Er
 
 
 def rms_by_kind(rms: Mapping[str, float | None], kinds: Mapping[str, Sequence[str]]) -> dict[str, float | None]:
-    """RMS errors of all joints that have one, and of the length of each force and moment.
+    """RMS error of the joints, and of the length of each force and moment.
 
-    It is None if no joint has an error, or if a row of the force or moment has none: only a whole vector has a length.
+    Joints without an error do not count; it is None if all are without. A force or moment needs an error of all three
+    components, or it is None.
 
     Parameters
     ----------
@@ -192,11 +193,13 @@ def rms_by_kind(rms: Mapping[str, float | None], kinds: Mapping[str, Sequence[st
     by_kind: dict[str, float | None] = {}
     for kind, rows in kinds.items():
         known = [error for row in rows if (error := rms[row]) is not None]
-        total = sum(error**2 for error in known)
+        sum_of_squares = sum(error**2 for error in known)
+        by_kind[kind] = None
         if kind == "joints":
-            by_kind[kind] = math.sqrt(total / len(known)) if known else None
-        else:
-            by_kind[kind] = math.sqrt(total) if len(known) == len(rows) else None
+            if known:
+                by_kind[kind] = math.sqrt(sum_of_squares / len(known))
+        elif len(known) == len(rows):
+            by_kind[kind] = math.sqrt(sum_of_squares)
     return by_kind
 
 

@@ -218,9 +218,17 @@ class SensorChoice:
 def find_sensors(robot: Robot, paths: Sequence[Path], given: Config, topic: str | None) -> SensorChoice:
     """The topics of IMU and pose to read.
 
-    There are none to choose from if no log has several, or if the messages of the joints, on ``topic`` or on the only
-    topic of joints, carry an IMU. If there are several IMUs, none of them in all logs, the other sensors are read only
-    if a pose tells how the base moves.
+    Nothing has to be chosen if no log has several, or if the messages of the joints contain an IMU. An IMU must be in
+    all logs. If there are several and none is, a pose in all logs takes their place; without one, no sensors are read.
+
+    Parameters
+    ----------
+    robot, paths
+        The robot and its logs.
+    given
+        How to read the logs; a topic that it gives is not chosen again.
+    topic
+        The topic of the joints; None: the only one.
     """
     given_pose = None if given.base.pose is None else given.base.pose.topic
     if given.base.imu.topic is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
-from idtool.estimation.dataset.joint_ranges import limits_notice
+from idtool.estimation.dataset.joint_limits import beyond_limits_notice
 from idtool.robot.urdf.reading import Robot
 from idtool.setup.loaded_logs import LoadedLog
 
@@ -80,6 +80,6 @@ def _beyond_limits(robot: Robot, logs: Sequence[LoadedLog]) -> Iterator[Notice]:
         for name, joint in log.inspection.joints.items():
             if q := joint.signals.get("q"):
                 ranges[name] = (q.minimum, q.maximum)
-        notice = limits_notice(robot, ranges)
+        notice = beyond_limits_notice(robot, ranges)
         if notice is not None:
             yield notice.about(log.log.path.name)

@@ -20,6 +20,7 @@ from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit
 from idtool.diagnosis.records import Diagnosis, PartEstimate
 from idtool.diagnosis.selection_round import find_best_effect
 from idtool.diagnosis.trial import with_effects, with_fixed_inertia
+from idtool.diagnosis.unexplained import residual_structure
 from idtool.diagnosis.unproven import _clearest_joint, find_unproven
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.robot.config import EffectEntry
@@ -251,3 +252,17 @@ def test_an_effect_of_a_thousandth_of_the_torque_is_named_if_it_leaves_nothing(
     assert (winner is not None) is is_named
     if winner is not None:
         assert winner.trial.entries[-1].parameters["stiffness"] == pytest.approx(stiffness, rel=0.1)
+
+
+@pytest.mark.parametrize(("size", "is_reported"), [(4e-3, False), (8e-3, True)])
+def test_structure_counts_from_half_a_percent_of_the_torque(tmp_path: Path, size: float, is_reported: bool) -> None:
+    """A torque that no effect has, as a share of the joint's torque, far above the noise."""
+    _, _, _, tau = motion()
+    rms_torque = np.sqrt(np.mean(tau[0] ** 2))
+
+    def wave(t: Array, q: Array, v: Array, tau: Array) -> Array:
+        return size * rms_torque * np.sqrt(2) * np.sin(9 * t)
+
+    base = linearize_fit(experiment_of(tmp_path, torque_on_joint(0, wave)), silent)
+    structure = residual_structure(base, 1.0, silent)
+    assert (structure[0].score > 0) is is_reported

@@ -31,10 +31,10 @@ from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
 from idtool.estimation.dataset.contact_detection import is_foot, is_support, with_detected_contacts
-from idtool.estimation.dataset.default_band import with_band_of_logs
+from idtool.estimation.dataset.cutoff import with_cutoff_for_logs
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.imu_delay import with_imu_delay
-from idtool.estimation.dataset.joint_ranges import limits_notice, position_ranges
+from idtool.estimation.dataset.joint_limits import beyond_limits_notice, position_ranges
 from idtool.estimation.dataset.kinematic_checks import kinematic_notices
 from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.estimation.dataset.weights import initial_row_noise
@@ -359,19 +359,14 @@ def prepare(
         _check_signals(log, model.joint_names)
         _check_sensors(log, config)
     if config.base.uses_pose:  # of which there are noisy derivatives beyond
-        config, _ = with_band_of_logs(config, every)
+        config, _ = with_cutoff_for_logs(config, every)
     _check_detected_contacts(model, config)
     comparison_notices: list[Notice] = []
-    beyond_limits = [limits_notice(robot, position_ranges(log, model.joint_names)) for log in every]
+    beyond_limits = [beyond_limits_notice(robot, position_ranges(log, model.joint_names)) for log in every]
+    are_positions_right = not any(beyond_limits)
     if model.has_floating_base:
-        logs_as_read = every
-        every = tuple(with_detected_contacts(log, model, config) for log in logs_as_read)
-        if any(beyond_limits):  # by such positions, legs carry no load
-            every = tuple(
-                replace(after, notices=before.notices) for before, after in zip(logs_as_read, every, strict=True)
-            )
-        for before, after in zip(logs_as_read, every, strict=True):
-            comparison_notices += after.notices[len(before.notices) :]
+        every, notices = _with_contacts(every, model, config, are_positions_right)
+        comparison_notices += notices
         fitted, validated = list(every[: len(fitted)]), list(every[len(fitted) :])
         config, notices = with_imu_delay(config, model, every)
         comparison_notices += notices
@@ -385,16 +380,13 @@ def prepare(
         model.names, build_effects(model, config), contacts=_contacts(model, config, fitted or every)
     )
     equalities = equality_constraints(config, model, equation)
-    config, notices = with_band_of_logs(config, every)
+    config, notices = with_cutoff_for_logs(config, every)
     model = replace(model, notices=(*model.notices, *notices))
     shares = [0.0 if validate else holdout] * len(fitted) + [1.0] * len(validated)
     runs = []
-    for log, name, share, wrong_positions in zip(every, names, shares, beyond_limits, strict=True):
+    for log, name, share, limits in zip(every, names, shares, beyond_limits, strict=True):
         signals = signals_of(log, model, config, name)
-        if wrong_positions is not None:
-            notices = [wrong_positions]
-        else:
-            notices = [*kinematic_notices(signals, model, config), *sign_notices(signals, model, config)]
+        notices = [limits] if limits is not None else _signal_notices(signals, model, config)
         comparison_notices += notices
         signals.notices += notices
         runs.append(_split(signals, share))
@@ -406,6 +398,30 @@ def prepare(
         tuple(runs),
         comparison_notices=tuple(comparison_notices),
     )
+
+
+def _with_contacts(
+    logs: Sequence[JointLog], model: RobotModel, config: Config, are_positions_right: bool
+) -> tuple[tuple[JointLog, ...], list[Notice]]:
+    """Logs with a flag for every contact, and the notices about the flags.
+
+    By wrong positions, legs seem to carry no load: there are then no notices.
+    """
+    with_flags = []
+    flag_notices: list[Notice] = []
+    for log in logs:
+        detected = with_detected_contacts(log, model, config)
+        if are_positions_right:
+            flag_notices += detected.notices[len(log.notices) :]
+        else:
+            detected = replace(detected, notices=log.notices)
+        with_flags.append(detected)
+    return tuple(with_flags), flag_notices
+
+
+def _signal_notices(signals: Signals, model: RobotModel, config: Config) -> list[Notice]:
+    """Notices from a comparison of a log's signals with the robot's kinematics, and of its wrench sensors with it."""
+    return [*kinematic_notices(signals, model, config), *sign_notices(signals, model, config)]
 
 
 def recording_names(logs: Sequence[JointLog]) -> list[str]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from idtool.common.arrays import Array
-from idtool.data.gyroscope_band import gyroscope_band
+from idtool.data.gyroscope_cutoff import gyroscope_cutoff
 from idtool.data.logs import JointLog
 from idtool.data.logs.log import Channel
 
@@ -32,7 +33,7 @@ def swaying(noise: float, rate: float = RATE, seed: int = 0) -> Array:
     return np.asarray(motion + noise * np.random.default_rng(seed).normal(size=motion.shape))
 
 
-def expected_band(noise: float, rate: float = RATE) -> float:
+def expected_cutoff(noise: float, rate: float = RATE) -> float:
     """Frequency f below which three derivatives of white noise have a thousandth of the sines' power [Hz].
 
     The noise of each has the spectral density 2 noise² / rate, and its derivative that times (2 π f)².
@@ -43,22 +44,22 @@ def expected_band(noise: float, rate: float = RATE) -> float:
 
 @pytest.mark.parametrize("noise", [0.001, 0.002, 0.004])
 def test_band_ends_where_noise_has_a_thousandth_of_the_power(noise: float) -> None:
-    assert gyroscope_band([log_of(swaying(noise))]) == pytest.approx(expected_band(noise), rel=0.05, abs=0.5)
+    assert gyroscope_cutoff([log_of(swaying(noise))]) == pytest.approx(expected_cutoff(noise), rel=0.05, abs=0.5)
 
 
 def test_band_does_not_end_below_what_contacts_need() -> None:
-    assert expected_band(0.03) < 8.0
-    assert gyroscope_band([log_of(swaying(0.03))]) == 8.0
+    assert expected_cutoff(0.03) < 8.0
+    assert gyroscope_cutoff([log_of(swaying(0.03))]) == 8.0
 
 
 def test_band_of_a_gyroscope_without_noise_does_not_end() -> None:
-    assert gyroscope_band([log_of(swaying(0.0))]) == np.inf
+    assert gyroscope_cutoff([log_of(swaying(0.0))]) == np.inf
 
 
 def test_noisiest_log_ends_the_band_unless_the_base_is_held() -> None:
     noisy, clear = log_of(swaying(0.004)), log_of(4 * swaying(0.001))
     held = log_of(0.004 * np.random.default_rng(1).normal(size=(3, 30_000)))
-    assert gyroscope_band([clear, noisy, held]) == gyroscope_band([noisy])
+    assert gyroscope_cutoff([clear, noisy, held]) == gyroscope_cutoff([noisy])
 
 
 def test_slow_gyroscope_in_a_table_of_fast_joints() -> None:
@@ -66,8 +67,19 @@ def test_slow_gyroscope_in_a_table_of_fast_joints() -> None:
     slow = swaying(0.004, rate=RATE / 2)
     in_table = np.full((3, 2 * slow.shape[1]), np.nan)
     in_table[:, ::2] = slow
-    assert gyroscope_band([log_of(in_table)]) == pytest.approx(expected_band(0.004, RATE / 2), rel=0.05, abs=0.5)
+    assert gyroscope_cutoff([log_of(in_table)]) == pytest.approx(expected_cutoff(0.004, RATE / 2), rel=0.05, abs=0.5)
+
+
+def test_gyroscope_slower_than_the_lowest_cutoff_tells_nothing() -> None:
+    assert gyroscope_cutoff([log_of(swaying(0.004, rate=10.0), rate=10.0)]) == np.inf
+
+
+def test_longest_part_without_a_gap_counts() -> None:
+    """Over the gap, the samples jump."""
+    noisy = log_of(np.concatenate([np.full((3, 2000), 5.0), swaying(0.004)], axis=1))
+    parts = replace(noisy, segments=(slice(0, 2000), slice(2000, len(noisy.t))))
+    assert gyroscope_cutoff([parts]) == pytest.approx(gyroscope_cutoff([log_of(swaying(0.004))]))
 
 
 def test_log_of_a_second_tells_nothing() -> None:
-    assert gyroscope_band([log_of(swaying(0.004)[:, :500])]) == np.inf
+    assert gyroscope_cutoff([log_of(swaying(0.004)[:, :500])]) == np.inf
