@@ -172,7 +172,7 @@ def excite(
         If true, the feet of a robot with a floating base stay on the ground, and its base moves. If false, the base is
         held, and the feet are in the air.
     feet
-        With ``stand``, the contacts that stay on the ground; none: all that are not on the base.
+        With ``stand``, the contacts that stay on the ground; none: those at the ends of limbs.
     friction_coefficient
         With ``stand``, the friction coefficient of the feet on the ground; None: 0.5.
     sole_size

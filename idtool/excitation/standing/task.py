@@ -65,7 +65,7 @@ class StandingOptions:
     Attributes
     ----------
     feet
-        Names of the contacts that stay on the ground; none: all that are not on the base.
+        Names of the contacts that stay on the ground; none: those at the ends of limbs.
     friction_coefficient
         Of the feet on the ground.
     sole_size
