@@ -101,7 +101,7 @@ def excite_command(
     ] = False,
     feet: Annotated[
         list[str] | None,
-        typer.Option(help="Contact that stays on the ground with --stand; repeatable; default: those at the ends of limbs."),
+        typer.Option(help="Contact that stays on the ground with --stand; repeatable; default: those at limbs' ends."),
     ] = None,
     friction_coefficient: Annotated[
         float | None,

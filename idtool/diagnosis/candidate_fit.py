@@ -33,7 +33,7 @@ _MAX_LOSS_SHARE = 0.2  # largest ratio of the loss in some blocks to the gain in
 _MIN_CONCENTRATION = 4.0  # ratio of the mean squared residual where an effect is undefined to that elsewhere
 _MIN_PARAMETER_SIGNIFICANCE = 2.5  # least ratio of an optional parameter to its standard error, to be kept
 _ACCURACY_OF_EFFECTS = 0.01  # share of a strong effect's torque that its model leaves at best
-_MIN_SHARE_OF_TORQUE = 5e-3  # of its joint's rms torque, that a reported effect must explain
+MIN_SHARE_OF_TORQUE = 5e-3  # of its joint's rms torque, that a reported effect must explain
 _MIN_SHARE_OF_TORQUE_RELAXED = 3e-3  # the same for an effect that is not reported, or that explains `NEARLY_ALL`
 _MIN_SHARE_OF_TORQUE_AT_ALL = 1e-3  # the same for an effect that leaves nothing above the noise
 NEARLY_ALL = 0.9  # of a joint's squared residual above its noise
@@ -309,7 +309,7 @@ def _is_too_small(candidate: FittedCandidate, base: LinearizedFit, initial: Line
     """True if an effect explains a negligible part of the torque."""
     fit = candidate.trial.linearized
     joint = candidate.probe.joint
-    if _explains_enough(fit, base, initial, _MIN_SHARE_OF_TORQUE):
+    if _explains_enough(fit, base, initial, MIN_SHARE_OF_TORQUE):
         return False
     if not is_reportable(candidate.probe.effect):
         return not _explains_enough(fit, base, initial, _MIN_SHARE_OF_TORQUE_RELAXED)
@@ -329,7 +329,7 @@ def _min_share_of_torque(explained: float) -> float:
         Share of the joint's squared residual above the noise that it explains.
     """
     if explained <= NEARLY_ALL:
-        return _MIN_SHARE_OF_TORQUE
+        return MIN_SHARE_OF_TORQUE
     unexplained = max(1 - explained, 0.0)
     rms_ratio = np.sqrt(unexplained / (1 - NEARLY_ALL))
     return max(_MIN_SHARE_OF_TORQUE_RELAXED * float(rms_ratio), _MIN_SHARE_OF_TORQUE_AT_ALL)

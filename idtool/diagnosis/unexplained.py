@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.diagnosis.candidate_fit import MIN_SHARE_OF_TORQUE
 from idtool.diagnosis.error_summary import NEGLIGIBLE_SHARE
 from idtool.diagnosis.generic_probes import UNKNOWN, generic_probes
 from idtool.diagnosis.linearized_fit import LinearizedFit
@@ -21,7 +22,6 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.estimation.evaluation.torque_errors import overall_rms
 
 _STRUCTURED_SHARE = 0.1  # of a joint's squared residual, explained by a generic function: it has structure
-_MIN_STRUCTURE = 5e-3  # of a joint's torque: what a generic function explains beyond is worth a search
 _SLOW_POWER = 25.0  # ratio of the residual's power to the noise's at the motion's frequencies: it has structure
 _MAX_FLOOR_RATIO = 1.3  # of the noise floor, up to which a residual is explained
 _NEAR_NOISE = 1.5  # times the noise, up to which a residual counts as noise
@@ -133,7 +133,7 @@ def _is_structure(screened: ScreenedProbe, current: LinearizedFit, joint: int, i
     rows = max(current.row_counts[:, joint].sum(), 1.0)
     explained_rms = np.sqrt(max(screened.gain, 0.0) / rows) * current.noise[joint]
     is_significant = screened.gain > MIN_SIGNIFICANCE**2 * inflation
-    return bool(is_significant and explained_rms / current.rms_torque[joint] > _MIN_STRUCTURE)
+    return bool(is_significant and explained_rms / current.rms_torque[joint] > MIN_SHARE_OF_TORQUE)
 
 
 def structured_noise_floor(current: LinearizedFit, structure: Sequence[Candidate], progress: Progress) -> NoiseFloor:
