@@ -5,13 +5,16 @@ parameters pi:
 
     Y pi = [tau; 0] + Σ Jᵢᵀ Fᵢ  (1)
 
-A measured wrench F is a known generalized force Jᵀ F, which is added to tau. An unknown one is eliminated. Let every
-row be divided by the standard deviation of its noise, and let P be the orthogonal projector onto what no unknown
-contact force exerts. Then P Jᵀ = 0, so that P Y pi = P tau holds whatever the unknown forces are. Least squares on
-these rows is generalized least squares on (1) with the forces as free unknowns at every sample (theorem of Frisch,
-Waugh and Lovell).
+A measured wrench F is a known generalized force Jᵀ F, which is added to tau. An unknown one is eliminated. Let W whiten
+the rows: their noise has unit variance, and is uncorrelated. Let P be the orthogonal projector onto what no unknown
+contact force exerts in them. Then P W Jᵀ = 0, so that P W Y pi = P W tau holds whatever the unknown forces are. Least
+squares on these rows is generalized least squares on (1) with the forces as free unknowns at every sample (theorem of
+Frisch, Waugh and Lovell).
 
-The dry friction of a joint at rest is unknown too. It acts on the joint's own row alone, so that this row is left out.
+Without correlation, W divides every row by the standard deviation of its noise. With the correlation R, the quotients
+are multiplied by R^(-1/2): of all W, its rows are the closest to those of (1) (Kessy, Lewin & Strimmer 2018, ZCA-cor).
+
+The dry friction of a joint at rest is unknown too. It acts on the joint's own row alone, and is eliminated likewise.
 
 P varies with time, and so it does not commute with a filter. It is applied at every sample, before the low-pass.
 
@@ -22,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -54,15 +58,30 @@ class ContactModel:
         The contacts, in the order of those in `ContactSamples`.
     noise
         Standard deviation of the noise of each row of (1), above 0, shape (nv,) [N or N·m].
+    correlation
+        Of the noise of the rows, positive definite, shape (nv, nv); None: rows count as uncorrelated.
     """
 
     model: RobotModel
     contacts: tuple[Contact, ...]
     noise: Array
+    correlation: Array | None = None
 
     def with_noise(self, noise: Array) -> ContactModel:
         """A copy with other noise of the rows, shape (nv,)."""
         return replace(self, noise=noise)
+
+    def with_correlation(self, correlation: Array) -> ContactModel:
+        """A copy with another correlation of the rows' noise, shape (nv, nv)."""
+        return replace(self, correlation=correlation)
+
+    @cached_property
+    def _decorrelation(self) -> Array:
+        """Symmetric inverse square root of the correlation, shape (nv, nv)."""
+        if self.correlation is None:
+            return np.eye(len(self.noise))
+        eigenvalues, eigenvectors = np.linalg.eigh(self.correlation)
+        return np.asarray((eigenvectors / np.sqrt(eigenvalues)) @ eigenvectors.T)
 
     def acts_on_joints(self, contact_samples: ContactSamples) -> Mask:
         """True where a contact force acts on a link that the joints move, shape (N,); not for less than noise."""
@@ -114,19 +133,34 @@ class ContactModel:
 
         Returns
         -------
-        Shape (N, nv, nv), for rows divided by their noise.
+        Shape (N, nv, nv), for whitened rows.
         """
-        nv, count = motion.q.shape
-        is_kept = np.ones((count, nv))
-        for joint, mask in unknown_friction.items():
-            is_kept[mask, joint] = 0.0
-        kept_rows = np.eye(nv) * is_kept[:, None, :]
+        off_friction = self._projector_off_friction(unknown_friction, motion.q.shape[1])
         directions = self.unknown_directions(motion)
         if not len(directions):
-            return kept_rows
-        unit, _ = self._unit_directions(directions, is_kept)
+            return off_friction
+        unit, _ = _unit_directions(self._whitened(directions) @ off_friction)
         onto_contacts = unit.transpose(0, 2, 1) @ np.linalg.solve(_gram(unit), unit)
-        return np.asarray(kept_rows - onto_contacts)
+        return np.asarray(off_friction - onto_contacts)
+
+    def _projector_off_friction(self, unknown_friction: Mapping[int, Mask], count: int) -> Array:
+        """Orthogonal projector onto what unknown friction of joints does not exert, shape (N, nv, nv)."""
+        nv = len(self.noise)
+        is_unknown = np.zeros((count, nv), dtype=bool)
+        for joint, mask in unknown_friction.items():
+            is_unknown[:, joint] = mask
+        patterns, pattern_of_sample = np.unique(is_unknown, axis=0, return_inverse=True)
+        projectors = np.empty((len(patterns), nv, nv))
+        for projector, joints in zip(projectors, patterns, strict=True):
+            Q, _ = np.linalg.qr(self._decorrelation[:, joints])
+            projector[:] = np.eye(nv) - Q @ Q.T
+        return np.asarray(projectors[pattern_of_sample.ravel()])
+
+    def _whitened(self, rows: Array) -> Array:
+        """Whitened rows by sample, from shape (k, nv, N) to (N, k, nv)."""
+        by_sample = np.moveaxis(rows, -1, 0)
+        in_units_of_noise = by_sample / self.noise
+        return in_units_of_noise if self.correlation is None else in_units_of_noise @ self._decorrelation
 
     def unknown_forces(self, directions: Array, residual: Array) -> Array:
         """Components of the unknown contact forces that explain most of a residual, shape (k, N) [N or N·m].
@@ -140,21 +174,13 @@ class ContactModel:
         """
         if not len(directions):
             return np.zeros((0, residual.shape[1]))
-        unit, length = self._unit_directions(directions, np.ones(residual.T.shape))
-        whitened = (residual.T / self.noise)[:, :, None]
+        unit, length = _unit_directions(self._whitened(directions))
+        whitened = self._whitened(residual[None]).transpose(0, 2, 1)
         along_unit = np.linalg.solve(_gram(unit), unit @ whitened)[:, :, 0]
         return np.asarray(-(along_unit / length[:, :, 0]).T)
 
-    def _unit_directions(self, directions: Array, is_kept: Array) -> tuple[Array, Array]:
-        """Directions in whitened rows, of unit length, shape (N, k, nv), and their lengths before, (N, k, 1)."""
-        by_sample = np.moveaxis(directions, -1, 0)
-        in_kept_rows = by_sample / self.noise * is_kept[:, None, :]
-        length = np.linalg.norm(in_kept_rows, axis=2, keepdims=True)
-        length[length == 0] = 1.0  # of an open contact, which exerts nothing
-        return in_kept_rows / length, length
-
     def project(self, projector: Array, rows: Array) -> Array:
-        """Rows of (1) without what unknown forces can exert: divided by the noise, projected, multiplied by it again.
+        """Rows of (1) without what unknown forces can exert: whitened, projected, and multiplied by their noise.
 
         Parameters
         ----------
@@ -170,9 +196,17 @@ class ContactModel:
         nv, count = len(rows), rows.shape[-1]
         by_sample = np.moveaxis(rows.reshape(nv, -1, count), -1, 0)  # (N, nv, columns)
         sigma = self.noise[:, None]
-        projected = (projector @ (by_sample / sigma)) * sigma
+        whitened = by_sample / sigma
+        if self.correlation is not None:
+            whitened = self._decorrelation @ whitened
+        projected = (projector @ whitened) * sigma
         in_time = np.ascontiguousarray(np.moveaxis(projected, 0, -1))  # which the filter reads along
         return in_time.reshape(rows.shape)
+
+    def gains_of_row(self, projector: Array, row: int) -> Array:
+        """Gains by which one row of (1) is in each row from `project`, shape (N, nv)."""
+        whitened = self._decorrelation[:, row] / self.noise[row]
+        return np.asarray((projector @ whitened) * self.noise)
 
     def unknown_directions(self, motion: Motion) -> Array:
         """Generalized force per unit of each component of the unknown contact forces, in body axes, shape (k, nv, N).
@@ -300,6 +334,13 @@ def _within_friction_cone(tangential: Array, load: Array) -> Array:
     size = np.linalg.norm(tangential, axis=0)
     share = _MAX_FRICTION * load / np.maximum(size, _MIN_FORCE)
     return np.asarray(tangential * np.minimum(share, 1.0))
+
+
+def _unit_directions(whitened: Array) -> tuple[Array, Array]:
+    """Directions in whitened rows, of unit length, shape (N, k, nv), and their lengths before, (N, k, 1)."""
+    length = np.linalg.norm(whitened, axis=2, keepdims=True)
+    length[length == 0] = 1.0  # of an open contact, which exerts nothing
+    return whitened / length, length
 
 
 def _gram(unit: Array) -> Array:

@@ -127,15 +127,18 @@ class ProjectedRows(RowFilter):
     def shares(self) -> Sequence[Array]:
         return self._row_shares
 
+    def filtered_projector(self) -> Array:
+        """The projector through the filter, shape (n, nv, nv)."""
+        by_element = np.ascontiguousarray(np.moveaxis(self.projector, 0, -1))
+        return np.asarray(np.moveaxis(self.batch.filter(by_element), -1, 0))
+
     @override
     def filter_rows(self, rows: Array) -> Array:
         return self.batch.filter(self.contacts.project(self.projector, rows))
 
     @override
     def filter_columns_of_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
-        # projected in units of the noise, as by `ContactModel.project`
-        noise = self.contacts.noise
-        gains = self.projector[:, :, row] * (noise / noise[row])  # (N, nv)
+        gains = self.contacts.gains_of_row(self.projector, row)  # (N, nv)
         rows = np.flatnonzero(gains.any(axis=0))
         filtered = np.empty((len(rows), len(columns), len(self.batch.t)))
         for out, gain in zip(filtered, gains[:, rows].T, strict=True):

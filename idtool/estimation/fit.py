@@ -17,6 +17,7 @@ from idtool.estimation.identification import Method, estimate_from_logs
 from idtool.estimation.offset_notices import held_out_offset_notices, offset_notices
 from idtool.estimation.problem.estimate import Estimate
 from idtool.estimation.problem.regularization_path import RegularizationPath
+from idtool.estimation.row_correlation import with_row_correlation
 from idtool.estimation.row_noise import with_row_noise
 from idtool.estimation.sensor_drift import with_sensor_drift
 from idtool.estimation.uncertainty import UncertaintyAnalysis, uncertainty_analysis
@@ -143,15 +144,19 @@ def fit(
         delay = command_delay(experiment, progress)
     clock.stop("delay")
 
-    identification = estimate_from_logs(experiment, method, progress, data)
+    # Only the estimate is made from decorrelated rows: errors are told row by row.
+    weighted, data = with_row_correlation(experiment, data, progress)
+    identification = estimate_from_logs(weighted, method, progress, data)
     if experiment.equation.depends_on_parameters:
         path = identification.path
         for _ in range(_REFITS):
-            equation = experiment.equation.linearized_at(identification.estimate.theta)
-            experiment = replace(experiment, equation=equation)
-            config = experiment.config.model_copy(update={"regularization": identification.regularization})
-            identification = estimate_from_logs(replace(experiment, config=config), method, progress)
+            equation = weighted.equation.linearized_at(identification.estimate.theta)
+            weighted = replace(weighted, equation=equation)
+            config = weighted.config.model_copy(update={"regularization": identification.regularization})
+            identification = estimate_from_logs(replace(weighted, config=config), method, progress)
         identification = replace(identification, path=path)
+        equation = replace(weighted.equation, contacts=experiment.equation.contacts)
+        experiment = replace(experiment, equation=equation)
     estimate = identification.estimate
     notices = [*experiment.notices, *(delay.notices if delay else ()), *identification.notices]
     clock.stop("identify")

@@ -16,9 +16,13 @@ ROBOT = true_quadruped(0)
 SURFACE = {"name": "rope", "link": "trunk", "kind": "surface", "flag": "contact_rope"}
 
 
-def contact_forces(folder: Path, rng: np.random.Generator) -> ContactModel:
+IS_CORRELATED = (False, True)
+
+
+def contact_forces(folder: Path, rng: np.random.Generator, is_correlated: bool = False) -> ContactModel:
     model, config = quadruped_model(folder, ROBOT)
-    return ContactModel(model, config.contacts, np.exp(rng.normal(size=18)))
+    contacts = ContactModel(model, config.contacts, np.exp(rng.normal(size=18)))
+    return contacts.with_correlation(np.corrcoef(rng.normal(size=(18, 40)))) if is_correlated else contacts
 
 
 def exerted(reference: PinocchioQuadruped, motion: Motion, k: int, forces: np.ndarray) -> np.ndarray:
@@ -31,8 +35,11 @@ def exerted(reference: PinocchioQuadruped, motion: Motion, k: int, forces: np.nd
     return torque
 
 
-def test_projector_eliminates_what_contacts_exert_and_nothing_else(tmp_path: Path, rng: np.random.Generator) -> None:
-    contacts = contact_forces(tmp_path, rng)
+@pytest.mark.parametrize("is_correlated", IS_CORRELATED)
+def test_projector_eliminates_what_contacts_exert_and_nothing_else(
+    tmp_path: Path, rng: np.random.Generator, is_correlated: bool
+) -> None:
+    contacts = contact_forces(tmp_path, rng, is_correlated)
     reference = PinocchioQuadruped(tmp_path / "quadruped.urdf")
     motion = random_state(rng, 40)
     assert motion.contacts is not None
@@ -59,22 +66,30 @@ def test_surface_on_the_base_leaves_no_row_of_the_base(tmp_path: Path, rng: np.r
     np.testing.assert_allclose(contacts.projector(motion, {}), np.broadcast_to(expected, (10, 18, 18)), atol=1e-8)
 
 
+@pytest.mark.parametrize("is_correlated", IS_CORRELATED)
 def test_unknown_friction_of_a_joint_is_eliminated_with_the_contact_forces(
-    tmp_path: Path, rng: np.random.Generator
+    tmp_path: Path, rng: np.random.Generator, is_correlated: bool
 ) -> None:
-    contacts = contact_forces(tmp_path, rng)
+    contacts = contact_forces(tmp_path, rng, is_correlated)
     reference = PinocchioQuadruped(tmp_path / "quadruped.urdf")
     motion = random_state(rng, 10)
+    assert motion.contacts is not None
+    motion.contacts.is_closed[4] = False  # without the rope, which leaves nothing of a standing leg
     resting = np.arange(10) < 6
     torque = np.stack([exerted(reference, motion, k, rng.normal(size=(4, 3))) for k in range(10)], axis=1)
     torque[5, resting] += 3.0
-    left = contacts.project(contacts.projector(motion, {5: resting}), torque)
-    np.testing.assert_allclose(left, 0, atol=1e-6)
+    projector = contacts.projector(motion, {5: resting})
+    np.testing.assert_allclose(contacts.project(projector, torque), 0, atol=1e-6)
+    unknown = 3 * motion.contacts.is_closed[:4].sum(axis=0) + resting
+    np.testing.assert_allclose(np.trace(projector, axis1=1, axis2=2), 18 - unknown, atol=1e-5)
 
 
-def test_least_squares_is_that_with_free_forces(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Theorem of Frisch, Waugh and Lovell, for rows in units of their noise."""
-    contacts = contact_forces(tmp_path, rng)
+@pytest.mark.parametrize("is_correlated", IS_CORRELATED)
+def test_least_squares_is_that_with_free_forces(tmp_path: Path, rng: np.random.Generator, is_correlated: bool) -> None:
+    """Theorem of Frisch, Waugh and Lovell, for whitened rows."""
+    contacts = contact_forces(tmp_path, rng, is_correlated)
+    correlation = np.eye(18) if contacts.correlation is None else contacts.correlation
+    whitening = np.linalg.inv(np.linalg.cholesky(correlation)) / contacts.noise
     reference = PinocchioQuadruped(tmp_path / "quadruped.urdf")
     motion = random_state(rng, 6)
     assert motion.contacts is not None
@@ -92,9 +107,8 @@ def test_least_squares_is_that_with_free_forces(tmp_path: Path, rng: np.random.G
             if motion.contacts.is_closed[i, k]:
                 place = slice(12 * k + 3 * i, 12 * k + 3 * i + 3)
                 forces[:, place] = reference.contact_jacobian(motion, k, foot, FOOT_RADIUS)[:3].T
-        whole.append(np.hstack([Y[:, :, k], forces]) / contacts.noise[:, None])
-    in_noise = (tau / contacts.noise[:, None]).T.ravel()
-    expected = np.linalg.lstsq(np.vstack(whole), in_noise)[0][:4]
+        whole.append(whitening @ np.hstack([Y[:, :, k], forces]))
+    expected = np.linalg.lstsq(np.vstack(whole), (whitening @ tau).T.ravel())[0][:4]
     np.testing.assert_allclose(theta, expected, rtol=1e-5)
 
 

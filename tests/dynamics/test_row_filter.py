@@ -46,8 +46,15 @@ def equation_of(folder: Path, rng: Generator, *effects: EffectEntry) -> LinearMo
     return LinearModel(model.names, build_effects(model, config.model_copy(update={"effects": effects})), {}, contacts)
 
 
-def test_columns_of_one_row_are_filtered_as_those_of_all_rows(tmp_path: Path, rng: Generator) -> None:
+@pytest.mark.parametrize("is_correlated", [False, True])
+def test_columns_of_one_row_are_filtered_as_those_of_all_rows(
+    tmp_path: Path, rng: Generator, is_correlated: bool
+) -> None:
     equation = equation_of(tmp_path, rng)
+    if is_correlated:
+        assert equation.contacts is not None
+        correlation = np.corrcoef(rng.normal(size=(18, 40)))
+        equation = replace(equation, contacts=equation.contacts.with_correlation(correlation))
     batch = Batch(steady_motion(rng), 0, 0, LowPass(40.0, 4, STEP, 5))
     row_filter = equation.row_filter(batch)
     assert isinstance(row_filter, ProjectedRows)

@@ -5,6 +5,8 @@ Letters: p coefficients theta; sigma_j noise of joint j's torque [N·m or N].
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from idtool.common.arrays import Array
@@ -53,8 +55,32 @@ def freedom_left(reduction: Reduction, rank: int) -> float:
     return max(1 - rank / max(independent, 1.0), 0.5)
 
 
+@dataclass(frozen=True)
+class FreeFit:
+    """Least squares without constraints except that copies are equal.
+
+    Attributes
+    ----------
+    theta
+        The coefficients, shape (p,); 0 if there are too few samples for them.
+    noise
+        Residual noise of each joint, shape (nv,) [N·m or N].
+    is_determined
+        False if there are fewer than two independent samples for each parameter that they determine.
+    """
+
+    theta: Array
+    noise: Array
+    is_determined: bool
+
+
 def free_noise(model: LinearModel, reduction: Reduction, equalities: EqualityConstraints | None = None) -> Array:
-    """Residual noise of each joint under least squares, without constraints except that copies are equal; shape (nv,).
+    """Residual noise of each joint under `free_fit`, shape (nv,) [N·m or N]."""
+    return free_fit(model, reduction, equalities).noise
+
+
+def free_fit(model: LinearModel, reduction: Reduction, equalities: EqualityConstraints | None = None) -> FreeFit:
+    """Least squares with the joints weighted by their noise, which is determined with the coefficients.
 
     All joints weigh the same at first, then as much as the fit before says, so that a joint of much noise does not pass
     for noise of the others: iterated weighted least squares (Gautier 1997 takes one step). With fewer than two
@@ -62,6 +88,7 @@ def free_noise(model: LinearModel, reduction: Reduction, equalities: EqualityCon
     """
     K = (equalities or EqualityConstraints.none(len(model.coefficients))).K
     sigma = np.ones(len(reduction))
+    theta, is_determined = np.zeros(len(K)), False
     for _ in range(_WEIGHINGS):
         rows = weighted_rows(model, reduction, sigma)
         Y = rows[:, :-1] @ K
@@ -69,11 +96,12 @@ def free_noise(model: LinearModel, reduction: Reduction, equalities: EqualityCon
         size[size == 0] = 1.0
         z, rank = least_squares(Y / size, rows[:, -1], _RANK)
         independent = sum(factor.independent for factor in reduction)
-        theta = K @ (z / size) if independent >= 2 * rank else np.zeros(len(K))
+        is_determined = independent >= 2 * rank
+        theta = K @ (z / size) if is_determined else np.zeros(len(K))
         share = freedom_left(reduction, rank)
         joints = zip(reduction, model.active(), strict=True)
         sigma = np.array([residual_noise(factor, theta[columns], share) for factor, columns in joints])
-    return sigma
+    return FreeFit(theta, sigma, is_determined)
 
 
 def initial_row_noise(model: RobotModel, torque: Array) -> Array:
