@@ -144,18 +144,21 @@ def fit(
         delay = command_delay(experiment, progress)
     clock.stop("delay")
 
-    # Only the estimate is made from decorrelated rows: errors are told row by row.
-    weighted, data = with_row_correlation(experiment, data, progress)
-    identification = estimate_from_logs(weighted, method, progress, data)
+    decorrelated = experiment  # for the estimate only: errors are told row by row
+    if data is not None:
+        decorrelated = with_row_correlation(experiment, data, progress)
+        if decorrelated is not experiment:
+            data = None  # which is large, before the logs are reduced again
+    identification = estimate_from_logs(decorrelated, method, progress, data)
     if experiment.equation.depends_on_parameters:
         path = identification.path
         for _ in range(_REFITS):
-            equation = weighted.equation.linearized_at(identification.estimate.theta)
-            weighted = replace(weighted, equation=equation)
-            config = weighted.config.model_copy(update={"regularization": identification.regularization})
-            identification = estimate_from_logs(replace(weighted, config=config), method, progress)
+            equation = decorrelated.equation.linearized_at(identification.estimate.theta)
+            decorrelated = replace(decorrelated, equation=equation)
+            config = decorrelated.config.model_copy(update={"regularization": identification.regularization})
+            identification = estimate_from_logs(replace(decorrelated, config=config), method, progress)
         identification = replace(identification, path=path)
-        equation = replace(weighted.equation, contacts=experiment.equation.contacts)
+        equation = replace(decorrelated.equation, contacts=experiment.equation.contacts)
         experiment = replace(experiment, equation=equation)
     estimate = identification.estimate
     notices = [*experiment.notices, *(delay.notices if delay else ()), *identification.notices]

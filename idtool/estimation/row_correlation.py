@@ -32,9 +32,7 @@ _CONVERGED = 3e-3  # change of the covariance
 _LEAST_VARIANCE = 0.01  # of a combination of rows relative to a row: no combination weighs more than ten times as much
 
 
-def with_row_correlation(
-    experiment: Experiment, data: tuple[Blocks, ...] | None, progress: Progress
-) -> tuple[Experiment, tuple[Blocks, ...] | None]:
+def with_row_correlation(experiment: Experiment, data: tuple[Blocks, ...], progress: Progress) -> Experiment:
     """Determine the correlation of the rows' noise from what a fit without constraints leaves of them.
 
     Parameters
@@ -42,28 +40,27 @@ def with_row_correlation(
     experiment
         Model and data; with contacts, the equation has the noise of the rows.
     data
-        The training data; None: they have not been reduced, as there are no contacts.
+        The training data, reduced without the correlation.
     progress
         Callback for the stage and its progress, from 0 to 1.
 
     Returns
     -------
-    The experiment, whose equation has the correlation, and the training data with it; without contacts, or if the data
-    are too short for a fit without constraints, both as they are.
+    The experiment, whose equation has the correlation; as it is without contacts, or if the data are too short for a
+    fit without constraints.
     """
     contacts = experiment.equation.contacts
-    if contacts is None or data is None:
-        return experiment, data
+    if contacts is None:
+        return experiment
     reduction = merge_reductions([log.total for log in data])
     fit = free_fit(experiment.equation, reduction, experiment.equalities)
     if not fit.is_determined:
-        return experiment, data
+        return experiment
     residuals, seen = _residuals(experiment, contacts, fit.theta, progress)
     covariance = most_likely_covariance(residuals, seen)
     independent_samples = len(residuals) * np.trace(seen.mean(axis=0)) / len(covariance)
     contacts = contacts.with_correlation(shrunk_correlation(covariance, independent_samples))
-    experiment = replace(experiment, equation=replace(experiment.equation, contacts=contacts))
-    return experiment, experiment.blocks(lambda run: experiment.rows(run, progress))
+    return replace(experiment, equation=replace(experiment.equation, contacts=contacts))
 
 
 def _residuals(experiment: Experiment, contacts: ContactModel, theta: Array, progress: Progress) -> tuple[Array, Array]:

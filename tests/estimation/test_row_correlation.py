@@ -83,7 +83,8 @@ def test_rows_are_correlated_by_the_inertia_that_noisy_accelerations_move(tmp_pa
     model = idtool.Model(tmp_path / "true.urdf", config={**content, "filter": {"cutoff_hz": CUTOFF}})
     experiment = load_experiment(model, [tmp_path / "walk.csv"])
     experiment, data = with_row_noise(experiment, silent)
-    experiment, _ = with_row_correlation(experiment, data, silent)
+    assert data is not None
+    experiment = with_row_correlation(experiment, data, silent)
     assert experiment.equation.contacts is not None
     found = experiment.equation.contacts.correlation
     assert found is not None
