@@ -17,13 +17,13 @@ test: $(READY)  ## style, types and tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) -m "not slow"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist worksteal -m "not slow"
 
 test-blas: $(READY)  ## the tests with OpenBLAS kernels for other CPUs, which round differently
 	$(BIN)/python tests/blas_kernels.py --jobs $(JOBS) $(KERNELS)
 
 test-slow: $(READY)  ## the tests that are too slow for CI
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) -m slow
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist worksteal -m slow
 
 docs: $(READY)  ## build the documentation as a site in site/; broken links are errors
 	$(BIN)/mkdocs build --strict --config-file docs/mkdocs.yml

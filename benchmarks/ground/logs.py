@@ -85,7 +85,11 @@ def record_motion(
     sensors: Sensors | None = None,
 ) -> Recording:
     """Recording of a motion; RuntimeError if the robot falls."""
-    sensors = sensors or Sensors()
+    return recording_of(robot, simulated_states(robot, course, seconds, physics), sensors or Sensors(), seed)
+
+
+def simulated_states(robot: Robot, course: Motion, seconds: float, physics: Physics | None = None) -> dict[str, Array]:
+    """True states of a motion, one a sample, by name; RuntimeError if the robot falls."""
     physics = replace(physics or Physics(), is_held=course.is_held)
     q_first, _ = course.reference(0.0)
     dt = 1 / RATE / _STEPS
@@ -105,7 +109,7 @@ def record_motion(
         late_half = _steps(plant, tau, _STEPS // 2)
         if not course.is_held and plant.base[0][2] < robot.fallen_height:
             raise RuntimeError(f"the robot fell after {t:.1f} s")
-    return _measured(robot, {key: np.array([row[key] for row in rows]) for key in rows[0]}, sensors, seed)
+    return {key: np.array([row[key] for row in rows]) for key in rows[0]}
 
 
 @dataclass(frozen=True)
@@ -148,8 +152,8 @@ def _state(plant: Plant) -> dict[str, Any]:
     return {"q": plant.q.copy(), "v": plant.v.copy(), "position": position, "R": R, "slip": plant.slip}
 
 
-def _measured(robot: Robot, states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recording:
-    """What the sensors give of the true states."""
+def recording_of(robot: Robot, states: Mapping[str, Array], sensors: Sensors, seed: int) -> Recording:
+    """Noisy readings of the sensors in true states, as `simulated_states` gives them."""
     rng = np.random.default_rng([seed, 4])
     count = len(states["q"])
     R, w = states["R"], states["v"][:, 3:BASE]

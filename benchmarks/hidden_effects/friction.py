@@ -28,6 +28,7 @@ FRICTION_KINDS = ("sign", "tanh", "lugre", "frictionloss")
 _WIDTHS = (0.005, 0.02)  # rad/s, of tanh
 _DISPLACEMENTS = (1e-4, 5e-4)  # rad, of the bristles
 _DAMPING_RATIOS = (0.2, 0.5)  # of the bristles
+_MAX_SETS = 20
 _MAX_SWEEPS = 60
 _CONVERGED = 1e-9  # rad/s
 _SOLVER_TOLERANCE = 1e-10  # of MuJoCo's solver; its default of 1e-8 can be seen in a log without noise
@@ -232,6 +233,38 @@ def velocity_with_dry_friction(M_inverse: Array, v_free: Array, max_impulse: Arr
     v = v_free - M_inverse @ impulse
     if ((v * v_before > 0) | (max_impulse == 0)).all():
         return np.asarray(v)  # nothing stops or reverses
+    v_of_sets = _velocity_by_active_sets(M_inverse, v_free, max_impulse, v_before)
+    return _velocity_by_sweeps(M_inverse, v_free, max_impulse, v_before) if v_of_sets is None else v_of_sets
+
+
+def _velocity_by_active_sets(M_inverse: Array, v_free: Array, max_impulse: Array, v_before: Array) -> Array | None:
+    """Velocity with those coordinates at rest that friction can hold; None if the choice of these does not settle.
+
+    Sliding coordinates that would reverse are held, and held ones that need more than the largest impulse slide.
+    """
+    has_friction = max_impulse > 0
+    direction = np.where(has_friction, np.sign(v_before), 0.0)
+    for _ in range(_MAX_SETS):
+        impulse = max_impulse * direction
+        v = v_free - M_inverse @ impulse
+        held = np.flatnonzero(has_friction & (direction == 0))
+        impulse[held] = np.linalg.solve(M_inverse[np.ix_(held, held)], v[held])
+        v -= M_inverse[:, held] @ impulse[held]
+        v[held] = 0.0
+        reverses = v * direction < 0
+        slides = np.abs(impulse) > max_impulse
+        slides[direction != 0] = False
+        if not (reverses | slides).any():
+            return np.asarray(v)
+        direction[reverses] = 0.0
+        direction[slides] = np.sign(impulse[slides])
+    return None
+
+
+def _velocity_by_sweeps(M_inverse: Array, v_free: Array, max_impulse: Array, v_before: Array) -> Array:
+    """Velocity by one coordinate's impulse after the other, until none changes."""
+    impulse = max_impulse * np.sign(v_before)
+    v = v_free - M_inverse @ impulse
     columns = np.ascontiguousarray(M_inverse.T)
     diagonal, limits, impulses = (
         np.diagonal(M_inverse).tolist(),

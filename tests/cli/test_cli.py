@@ -117,7 +117,7 @@ def test_version() -> None:
 
 
 def test_the_installed_command(folder: Path) -> None:
-    done = installed("fit", "leg.urdf", "run1.mcap", "--out", "out", "--max-rms", "9", folder=folder)
+    done = installed("fit", "leg.urdf", "run1.mcap", "--quick", "--out", "out", "--max-rms", "9", folder=folder)
     assert (done.code, done.err) == (0, "")
     assert {path.name for path in (folder / "out").iterdir()} == FIT_FILES
     done = installed("validate", "out/identified.urdf", "run3.mcap", "--out", "out", "--max-rms=.01", folder=folder)
@@ -146,7 +146,7 @@ def test_quiet_still_prints_errors(folder: Path) -> None:
 @pytest.mark.parametrize(
     "command",
     [
-        ["fit", LEG, TRAIN, "--max-rms", "0.01"],
+        ["fit", LEG, TRAIN, "--quick", "--max-rms", "0.01"],
         ["validate", LEG, VALIDATE, "--max-rms", "0.01"],
         ["inspect", TRAIN],
     ],
@@ -164,7 +164,7 @@ def test_json_is_all_there_is_on_standard_output(tmp_path: Path, command: list[o
 
 def test_tables_name_every_joint_and_body(tmp_path: Path) -> None:
     report = fitted(tmp_path / "json", LEG, TRAIN)
-    done = idtool("fit", LEG, TRAIN, folder=tmp_path)
+    done = idtool("fit", LEG, TRAIN, "--quick", folder=tmp_path)
     words = done.out.split()
     assert {*JOINTS, "overall", *report["bodies"]} <= set(words)
     assert f"{report['rms']['validation']['overall']:.4g}" in words

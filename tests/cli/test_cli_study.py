@@ -86,17 +86,18 @@ def test_the_page_of_a_study(folder: Path, studied: Any) -> None:
         assert name in page
 
 
-def test_a_quiet_study_prints_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def short_study(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Studies without local solvers and the many draws of few samples, where only files and words matter."""
     monkeypatch.setattr("idtool.estimation.study.study.LOCAL", {})
-    done = idtool("study", "leg.urdf", "log.csv", "--draws", "5", "--quiet", "--out", "quiet", folder=folder)
-    assert (done.code, done.out, done.err) == (0, "", "")
-    assert set(files(folder / "quiet")) == STUDY_FILES
+    monkeypatch.setattr("idtool.estimation.study.learning._FEW_SAMPLES_FACTOR", 1)
 
 
-def test_without_out_files_go_where_the_user_is(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("idtool.estimation.study.study.LOCAL", {})
+@pytest.mark.usefixtures("short_study")
+def test_a_quiet_study_prints_nothing_and_without_out_files_go_where_the_user_is(folder: Path, tmp_path: Path) -> None:
     log, urdf = folder / "log.csv", folder / "leg.urdf"
-    assert idtool("study", urdf, log, "--draws", "5", "--quiet", folder=tmp_path).code == 0
+    done = idtool("study", urdf, log, "--draws", "5", "--quiet", folder=tmp_path)
+    assert (done.code, done.out, done.err) == (0, "", "")
     assert idtool("adapt", urdf, log, "--quiet", folder=tmp_path).code == 0
     assert set(files(tmp_path)) == {f"leg_idtool/{name}" for name in STUDY_FILES | ADAPT_FILES}
 
@@ -207,12 +208,10 @@ def test_help_documents_each_command(name: str) -> None:
         assert parameter.help.split()[0] in text
 
 
+@pytest.mark.usefixtures("short_study")
 @pytest.mark.parametrize(("name", "extra"), [("ellipsoids", []), ("adapt", []), ("study", ["--draws", "5"])])
-def test_the_examples_run_as_they_are_written(
-    folder: Path, tmp_path: Path, name: str, extra: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """But with few draws, on a short log."""
-    monkeypatch.setattr("idtool.estimation.study.study.LOCAL", {})
+def test_the_examples_run_as_they_are_written(folder: Path, tmp_path: Path, name: str, extra: list[str]) -> None:
+    """But with few draws."""
     for file in ("leg.urdf", "leg.yaml"):
         (tmp_path / file).write_bytes((folder / file).read_bytes())
     for log in ("run1.mcap", "run2.mcap"):

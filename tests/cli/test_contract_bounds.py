@@ -29,9 +29,9 @@ def test_fit_holds_the_validation_error_to_the_bound(tmp_path: Path) -> None:
     for name in (JOINTS[-1], "overall"):
         for share, code in ((1.001, 0), (0.999, 1)):
             bound = f"{name}={rms['validation'][name] * share!r}"
-            assert idtool("fit", LEG, TRAIN, "--max-rms", bound, "--no-simulation", folder=tmp_path).code == code
+            assert idtool("fit", LEG, TRAIN, "--max-rms", bound, "--quick", folder=tmp_path).code == code
     bound = repr(rms["validation"]["overall"] * 0.999)
-    without = idtool("fit", LEG, TRAIN, "--max-rms", bound, "--no-simulation", folder=tmp_path)
+    without = idtool("fit", LEG, TRAIN, "--max-rms", bound, "--quick", folder=tmp_path)
     assert without.code == 1
     assert "bound not met: overall" in without.out
 
@@ -40,7 +40,7 @@ def test_fit_without_holdout_holds_the_training_error_to_the_bound(tmp_path: Pat
     overall = fitted(tmp_path, LEG, TRAIN, "--holdout", "0")["rms"]["train"]["overall"]
     for share, code in ((1.001, 0), (0.999, 1)):
         bound = repr(overall * share)
-        done = idtool("fit", LEG, TRAIN, "--holdout", "0", "--max-rms", bound, "--no-simulation", folder=tmp_path)
+        done = idtool("fit", LEG, TRAIN, "--holdout", "0", "--max-rms", bound, "--quick", folder=tmp_path)
         assert done.code == code
 
 
@@ -48,7 +48,8 @@ def test_fit_without_holdout_holds_the_training_error_to_the_bound(tmp_path: Pat
     ("command", "log", "written"), [("fit", TRAIN, FIT_FILES), ("validate", VALIDATE, VALIDATION_FILES)]
 )
 def test_files_are_written_where_a_bound_is_missed(tmp_path: Path, command: str, log: Path, written: set[str]) -> None:
-    done = idtool(command, LEG, log, "--max-rms", "hip=0.001", "--out", tmp_path / "out", "--json")
+    quick = ["--quick"] if command == "fit" else ["--no-simulation"]
+    done = idtool(command, LEG, log, *quick, "--max-rms", "hip=0.001", "--out", tmp_path / "out", "--json")
     assert done.code == 1
     assert set(files(tmp_path / "out")) == written
     name = next(name for name in written if name.endswith(".json"))

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ground.logs import Recording, config_text, record, write_csv
+from ground.logs import Recording, config_text, write_csv
 from ground.quadruped import JOINTS as QUADRUPED_JOINTS
-from ground.quadruped import true_quadruped
 from ground.robot import urdf_text
 from numpy.typing import NDArray
+from quadruped_recordings import TRUTH, record_quadruped
 from sensor_arm import COULOMB, JOINTS, SENSOR, Push, wrench_channels, write_log
 from sensor_arm import urdf_text as arm_urdf
 
@@ -24,7 +24,6 @@ from idtool.estimation.dataset.experiment import Experiment
 
 Array = NDArray[np.float64]
 
-TRUTH = true_quadruped(0)
 PUSH = Push(np.array([12.0, -8.0, 15.0, 0.5, 0.8, -0.6]), np.array([0.2, 0.01, 0.03]))
 WIDEN = 0.12  # s, by default
 ORDER = 4
@@ -32,7 +31,7 @@ ORDER = 4
 
 @pytest.fixture(scope="module")
 def standing() -> Recording:
-    return record(TRUTH, "stand", seconds=4.0, seed=0)
+    return record_quadruped("stand", 4.0)
 
 
 def quadruped(folder: Path, recording: Recording, forces: str) -> Experiment:

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground.logs import record, write_mcap
-from ground.quadruped import true_quadruped
+from ground.logs import write_mcap
 from maker_messages import GO, Topic, definition, encoded, random_messages, write_topics
 from mcap.reader import make_reader
 from mcap.records import Schema
+from quadruped_recordings import TRUTH, record_quadruped
 from recordings import Channel, json_channel, states
 from recordings import write_mcap as write_channels
 from reencoded import ENCODINGS, proto_files, reencode
@@ -26,7 +26,6 @@ from idtool.data.logs.sensor_channels import SensorOptions, with_sensors
 from idtool.data.logs.state_topics import imu_topics, state_topics
 from idtool.robot.message_fields import PRESETS
 
-TRUTH = true_quadruped(0)
 COUNT = 30
 TIMES = [10**18 + 2_000_000 * i for i in range(COUNT)]
 FIELDS = {
@@ -94,7 +93,7 @@ def check_equal(log: JointLog, expected: JointLog) -> None:
 def ground_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Joint states, an IMU, flags and wrenches of the feet, and one message of the rope's flag."""
     path = tmp_path_factory.mktemp("ground") / "log.mcap"
-    write_mcap(path, TRUTH, record(TRUTH, "hang", seconds=0.2, seed=0))
+    write_mcap(path, TRUTH, record_quadruped("hang", 0.2))
     return path
 
 

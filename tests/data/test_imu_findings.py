@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ground.logs import Recording, record
-from ground.quadruped import JOINTS, true_quadruped
+from ground.logs import Recording
+from ground.quadruped import JOINTS
+from quadruped_recordings import record_quadruped
 
 from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.logs import JointLog, make_log
@@ -16,7 +17,7 @@ from idtool.data.logs.log import Channel
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return record(true_quadruped(0), "hang", seconds=3.0, seed=0)
+    return record_quadruped("hang", 3.0)
 
 
 def log_of(columns: dict[str, np.ndarray]) -> JointLog:

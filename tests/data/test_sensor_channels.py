@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground.logs import Recording, record, write_mcap
-from ground.quadruped import true_quadruped
+from ground.logs import Recording, write_mcap
 from mcap.records import Schema
+from quadruped_recordings import TRUTH, record_quadruped
 
 from idtool.common.exceptions import LogError
 from idtool.data.base_sensors import ImuSensors, needed_channels
@@ -26,7 +26,6 @@ from idtool.robot.config import Config, parse_config
 
 Array = np.ndarray
 DT = 1e-3
-TRUTH = true_quadruped(0)
 ROOT = Frame(0, np.eye(3), np.zeros(3))
 
 
@@ -180,7 +179,7 @@ def test_flag_is_widened_at_both_ends() -> None:
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return record(TRUTH, "hang", seconds=0.3, seed=0)
+    return record_quadruped("hang", 0.3)
 
 
 def test_topics_become_the_channels_of_the_table(recording: Recording, tmp_path: Path) -> None:

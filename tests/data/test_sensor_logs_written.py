@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ground.logs import record, write_mcap
-from ground.quadruped import true_quadruped
+from ground.logs import write_mcap
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from quadruped_recordings import TRUTH, record_quadruped
 
 from idtool.api.log import Log
 from idtool.common.exceptions import LogError
@@ -19,7 +19,6 @@ from idtool.data.logs.log import Channel
 from idtool.data.logs.merged_rows import merge_rows
 from idtool.data.logs.sensor_channels import finite_samples, with_sensors
 
-TRUTH = true_quadruped(0)
 SUFFIXES = (".csv", ".mcap")
 
 
@@ -46,7 +45,7 @@ def log_of(channels: dict[str, Channel], start: float = 0.0) -> JointLog:
 def ground_log(tmp_path_factory: pytest.TempPathFactory) -> Log:
     """By mcap_ros2: an IMU at half the rate of the joints, flags, wrenches, and one message of the rope's flag."""
     path = tmp_path_factory.mktemp("ground") / "log.mcap"
-    write_mcap(path, TRUTH, record(TRUTH, "hang", seconds=0.3, seed=0))
+    write_mcap(path, TRUTH, record_quadruped("hang", 0.3))
     return Log(path, sensors=True)
 
 

@@ -61,8 +61,16 @@ def stribeck(folder: Path) -> CaseFiles:
     return logged(folder, HiddenEffect("stribeck_friction", "shoulder", None, "strong"))
 
 
-def test_friction_that_rises_at_low_speed_is_named_and_closes_the_gap(stribeck: CaseFiles, folder: Path) -> None:
-    report = diagnosed(stribeck, folder / "out")
+@pytest.fixture(scope="module")
+def stribeck_report(stribeck: CaseFiles, folder: Path) -> dict[str, Any]:
+    """The report of a diagnosis in the folder ``out``."""
+    return diagnosed(stribeck, folder / "out")
+
+
+def test_friction_that_rises_at_low_speed_is_named_and_closes_the_gap(
+    stribeck: CaseFiles, stribeck_report: dict[str, Any], folder: Path
+) -> None:
+    report = stribeck_report
     assert {path.name for path in (folder / "out").iterdir()} == OUT
     assert named(report) == [("stribeck_friction", "shoulder")]
     assert report["verdict"] == "explained"
@@ -118,9 +126,10 @@ def test_a_wide_play_of_a_light_link_is_found_although_friction_slows_the_link_d
     assert after["validation"]["overall"] < before["validation"]["overall"]  # by how much is a matter of milliseconds
 
 
-def test_what_is_written_is_the_model_that_was_found(stribeck: CaseFiles, folder: Path) -> None:
-    out = folder / "again"
-    report = diagnosed(stribeck, out, "--no-simulation")
+def test_what_is_written_is_the_model_that_was_found(
+    stribeck: CaseFiles, stribeck_report: dict[str, Any], folder: Path
+) -> None:
+    out, report = folder / "out", stribeck_report
     config = yaml.safe_load((out / "model.yaml").read_text())
     (entry,) = config["effects"]
     (step,) = report["steps"]
@@ -130,7 +139,7 @@ def test_what_is_written_is_the_model_that_was_found(stribeck: CaseFiles, folder
         assert given["standard_error"] == pytest.approx(step["standard_error"][name], rel=1e-3)
     again = idtool(
         *("validate", out / "identified.urdf", stribeck.log, "--config", out / "model.yaml"),
-        *("--out", out, "--json", "--no-simulation"),
+        *("--out", folder / "again", "--json", "--no-simulation"),
     )
     joined = np.hypot(*(report["after"][part]["overall"] * np.sqrt(share) for part, share in PARTS.items()))
     assert again.json["rms"]["model"]["overall"] == pytest.approx(joined, rel=0.02)
@@ -139,10 +148,11 @@ def test_what_is_written_is_the_model_that_was_found(stribeck: CaseFiles, folder
 PARTS = {"train": 0.7, "validation": 0.3}
 
 
-def test_a_standard_error_does_not_depend_on_the_effects_searched_for(stribeck: CaseFiles, folder: Path) -> None:
-    all_of_them = diagnosed(stribeck, folder / "all", "--no-simulation")
+def test_a_standard_error_does_not_depend_on_the_effects_searched_for(
+    stribeck: CaseFiles, stribeck_report: dict[str, Any], folder: Path
+) -> None:
     alone = diagnosed(stribeck, folder / "alone", "--no-simulation", "--effects", "stribeck_friction")
-    errors, errors_alone = (report["steps"][0]["standard_error"]["stribeck"] for report in (all_of_them, alone))
+    errors, errors_alone = (report["steps"][0]["standard_error"]["stribeck"] for report in (stribeck_report, alone))
     assert errors == pytest.approx(errors_alone, rel=1e-3)
 
 

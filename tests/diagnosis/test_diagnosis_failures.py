@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import LEG, TRAIN, idtool
-from diagnosis_stages import STAGES
+from commands import LEG, csv_text, idtool, sample_table
+from diagnosis_stages import STAGES, completed_search, copy_of_search
 from disturbed import experiment_of, silent, torque_on_joint
 from numpy.typing import NDArray
 from sentences import sentences
@@ -172,19 +172,34 @@ def test_bodies_that_cannot_be_are_fixed_as_they_stand(tmp_path: Path) -> None:
     urdf = tmp_path / "leg.urdf"
     urdf.write_text(re.sub(r"<inertia [^>]*/>", nothing, LEG.read_text()))
     shutil.copy(LEG.with_suffix(".yaml"), tmp_path)
+    log = tmp_path / "log.csv"
+    log.write_text(csv_text(sample_table(3000)))
     options = ("--inertia", "fixed", "--effects", "torque_offset", "--no-simulation", "--quiet")
-    assert idtool("diagnose", urdf, TRAIN, *options, "--out", tmp_path / "out").code == 0
+    assert idtool("diagnose", urdf, log, *options, "--out", tmp_path / "out").code == 0
 
 
-@pytest.mark.parametrize("failure", [ValueError("as this test wants it"), np.linalg.LinAlgError(), KeyboardInterrupt()])
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.fixture(scope="module")
+def search(arm: Experiment) -> EffectSearch:
+    """A search that ended with both effects."""
+    return completed_search(lambda: diagnosed(arm))
+
+
+STAGE_FAILURES: list[tuple[str, BaseException]] = [
+    *((stage, ValueError("as this test wants it")) for stage in STAGES),
+    *((stage, KeyboardInterrupt()) for stage in STAGES),
+    ("residual_structure", np.linalg.LinAlgError()),
+]
+
+
+@pytest.mark.parametrize(("stage", "failure"), STAGE_FAILURES)
 def test_a_stage_that_fails_is_skipped_and_named(
-    arm: Experiment, monkeypatch: pytest.MonkeyPatch, stage: str, failure: BaseException
+    arm: Experiment, search: EffectSearch, monkeypatch: pytest.MonkeyPatch, stage: str, failure: BaseException
 ) -> None:
     def fail(*arguments: Any, **options: Any) -> Any:
         monkeypatch.undo()  # Ctrl-C comes once
         raise failure
 
+    monkeypatch.setattr(module, "EffectSearch", lambda *arguments: copy_of_search(search))
     monkeypatch.setattr(module, stage, fail)
     found = diagnosed(arm)
     assert named(found) == {SPRING, OFFSET}
@@ -204,7 +219,7 @@ def test_a_stage_that_fails_is_skipped_and_named(
 @pytest.mark.parametrize("failure", [ValueError("as this test wants it"), KeyboardInterrupt()])
 @pytest.mark.parametrize("effects", [0, 2])
 def test_effects_stay_where_the_simulation_fails(
-    arm: Experiment, monkeypatch: pytest.MonkeyPatch, effects: int, failure: BaseException
+    arm: Experiment, search: EffectSearch, monkeypatch: pytest.MonkeyPatch, effects: int, failure: BaseException
 ) -> None:
     """That of the model without effects, or that of the last one."""
     inner = module.simulate_fit
@@ -214,6 +229,7 @@ def test_effects_stay_where_the_simulation_fails(
             raise failure
         return inner(fitted, progress)
 
+    monkeypatch.setattr(module, "EffectSearch", lambda *arguments: copy_of_search(search))
     monkeypatch.setattr(module, "simulate_fit", simulate_fit)
     found = diagnose(arm, Options(effects=EFFECTS), silent)
     assert named(found) == {SPRING, OFFSET}

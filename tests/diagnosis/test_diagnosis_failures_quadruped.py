@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-from copy import copy
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from diagnosis_stages import STAGES
+from diagnosis_stages import STAGES, completed_search, copy_of_search
 from resting_quadruped import OFFSET, OFFSET_JOINT, SPRING_JOINT, STIFFNESS, write_quadruped
 
 import idtool
@@ -51,34 +49,15 @@ def named(report: dict[str, Any]) -> set[tuple[str, str]]:
 @pytest.fixture(scope="module")
 def search(files: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> EffectSearch:
     """The search of a diagnosis in which nothing fails."""
-    searches = []
-
-    class Kept(EffectSearch):
-        def run(self) -> None:
-            super().run()
-            searches.append(again(self))
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "EffectSearch", Kept)
-        report = written(files, tmp_path_factory.mktemp("whole"))
+    reports = []
+    found = completed_search(lambda: reports.append(written(files, tmp_path_factory.mktemp("whole"))))
+    (report,) = reports
     assert named(report) == HIDDEN
     sizes = {step["joint"]: step["parameters"] for step in report["steps"]}
     assert sizes[SPRING_JOINT]["stiffness"] == pytest.approx(STIFFNESS, rel=0.02)
     assert sizes[OFFSET_JOINT]["offset"] == pytest.approx(OFFSET, rel=0.02)
     assert not [notice for notice in report["notices"] if notice["code"] == "stage_skipped"]
-    (found,) = searches
     return found
-
-
-def again(search: EffectSearch) -> EffectSearch:
-    """The search as it ended, which does not run again."""
-    other = copy(search)
-    other.model = copy(search.model)
-    other.model.added = [replace(effect) for effect in search.added]
-    other.removed = list(search.removed)
-    other.failed = dict(search.failed)
-    setattr(other, "run", lambda: None)  # noqa: B010
-    return other
 
 
 @pytest.mark.parametrize("failure", [ValueError("as this test wants it"), KeyboardInterrupt()], ids=["fails", "Ctrl-C"])
@@ -100,7 +79,7 @@ def test_all_is_written_whatever_stage_fails(
         failed.append(stage)
         raise failure
 
-    monkeypatch.setattr(module, "EffectSearch", lambda *arguments: again(search))
+    monkeypatch.setattr(module, "EffectSearch", lambda *arguments: copy_of_search(search))
     monkeypatch.setattr(module, stage, fail)
     report = written(files, tmp_path / "out")
     assert failed

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ground.logs import config_text, record, write_csv
-from ground.quadruped import true_quadruped
+from ground.logs import config_text, write_csv
 from ground.robot import urdf_text
 from numpy.typing import NDArray
 from prescribed_motions import silent
+from quadruped_recordings import TRUTH, record_quadruped
 
 import idtool
 from idtool.api.data import load_experiment
@@ -25,14 +25,12 @@ from idtool.dynamics.effects.probe import Probe
 
 Array = NDArray[np.float64]
 
-TRUTH = true_quadruped(0)
-
 
 @pytest.fixture(scope="module")
 def fit(tmp_path_factory: pytest.TempPathFactory) -> LinearizedFit:
     """The true robot with fixed inertia on a log in which it sways."""
     folder = tmp_path_factory.mktemp("quadruped")
-    write_csv(folder / "stand.csv", record(TRUTH, "stand", seconds=3.0, seed=0))
+    write_csv(folder / "stand.csv", record_quadruped("stand", 3.0))
     (folder / "true.urdf").write_text(urdf_text(TRUTH))
     config = dict(parse_yaml(Path("quadruped.yaml"), config_text(TRUTH).encode()))
     model = idtool.Model(folder / "true.urdf", config=config)

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground.logs import Recording, config_text, record, write_csv
-from ground.quadruped import FEET, JOINTS, true_quadruped
+from ground.logs import Recording, config_text, write_csv
+from ground.quadruped import FEET, JOINTS
 from ground.robot import prior_robot, urdf_text
+from quadruped_recordings import TRUTH, record_quadruped
 
 from idtool.common.exceptions import LogError
 from idtool.common.safe_yaml import parse_yaml
@@ -22,17 +23,15 @@ from idtool.robot.config import Config, parse_config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import read_robot
 
-TRUTH = true_quadruped(0)
-
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    return record(TRUTH, "walk", seconds=4.0, seed=0)
+    return record_quadruped("walk", 4.0, seed=1)
 
 
 @pytest.fixture(scope="module")
 def hang() -> Recording:
-    return record(TRUTH, "hang", seconds=2.0, seed=0)
+    return record_quadruped("hang", 2.0)
 
 
 def settings(flag: str | None, flag_of_rope: str | None = None) -> Config:
@@ -119,7 +118,7 @@ def test_flags_that_do_not_fit_the_load_are_named(tmp_path: Path, walk: Recordin
 
 def test_posture_in_which_the_torque_hardly_tells_the_force_says_nothing_against_a_flag(tmp_path: Path) -> None:
     """The calf of RL folds to -3 rad, where the URDF's error in torque would be a force of half the weight."""
-    folded = record(TRUTH, "hang", seconds=3.5, seed=1)
+    folded = record_quadruped("hang", 3.5, seed=1)
     assert folded.columns["q_RL_calf_joint"].min() < -2.9
     assert not detected(tmp_path, folded, None).notices
 

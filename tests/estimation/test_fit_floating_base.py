@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground.logs import RATE, Sensors, config_text, record, write_csv
-from ground.quadruped import JOINTS, true_quadruped
+from ground.logs import RATE, Sensors, config_text, write_csv
+from ground.quadruped import JOINTS
 from ground.robot import prior_robot, urdf_text
 from prescribed_motions import silent
+from quadruped_recordings import TRUTH, record_quadruped
 from scipy.spatial.transform import Rotation
 
 import idtool
@@ -22,7 +23,6 @@ from idtool.estimation.evaluation.torque_errors import evaluate
 from idtool.reporting.pages.robot import robot_view
 from idtool.robot.model import BASE_COORDINATES
 
-TRUTH = true_quadruped(0)
 FORCES = ("unknown", "measured")
 
 
@@ -30,7 +30,7 @@ FORCES = ("unknown", "measured")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("quadruped")
     for kind in ("stand", "hang"):
-        write_csv(path / f"{kind}.csv", record(TRUTH, kind, seconds=5.0, seed=0))
+        write_csv(path / f"{kind}.csv", record_quadruped(kind, 5.0))
     (path / "true.urdf").write_text(urdf_text(TRUTH))
     (path / "prior.urdf").write_text(urdf_text(prior_robot(TRUTH, 0)))
     return path
@@ -185,7 +185,7 @@ def test_imu_whose_reading_never_changes_is_refused(folder: Path, tmp_path: Path
 @pytest.fixture(scope="module")
 def late_imu(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("late") / "stand.csv"
-    write_csv(path, record(TRUTH, "stand", seconds=5.0, seed=1, sensors=Sensors(imu_delay=6e-3)))
+    write_csv(path, record_quadruped("stand", 5.0, sensors=Sensors(imu_delay=6e-3)))
     return path
 
 

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground.logs import config_text, record, write_csv
-from ground.quadruped import FEET, FOOT_RADIUS, true_quadruped
+from ground.logs import config_text, write_csv
+from ground.quadruped import FEET, FOOT_RADIUS
 from ground.robot import prior_robot, urdf_text
 from numpy.typing import NDArray
+from quadruped_recordings import TRUTH, record_quadruped
 from scipy.spatial.transform import Rotation
 
 import idtool
 from idtool.common.safe_yaml import parse_yaml
 
-TRUTH = true_quadruped(0)
 OFFSET = np.array([4.0, -3.0, 10.0, 0.2, 0.1, -0.2])
 PARTS = ("x", "y", "z", "mx", "my", "mz")
 
@@ -45,7 +45,7 @@ def readings(columns: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.fl
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("quadruped")
     for kind in ("stand", "hang"):
-        recording = record(TRUTH, kind, seconds=5.0, seed=0)
+        recording = record_quadruped(kind, 5.0)
         columns = dict(recording.columns)
         write_csv(path / f"{kind}.csv", type(recording)({**columns, **readings(columns)}))
     (path / "prior.urdf").write_text(urdf_text(prior_robot(TRUTH, 0)))

@@ -9,18 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import JOINTS, LEG
-from ground.logs import config_text, record
-from ground.quadruped import true_quadruped
+from ground.logs import config_text
 from ground.robot import prior_robot, urdf_text
 from maker_messages import GO_JOINTS, GO_LEGS, low_state_topic, write_topics
 from paths import SAMPLES
+from quadruped_recordings import TRUTH, record_quadruped
 
 import idtool
 from idtool.common.exceptions import LogError
 from idtool.common.safe_yaml import parse_yaml
 
 Array = np.ndarray
-TRUTH = true_quadruped(0)
 FLAGS = {f"contact.{leg}_foot": f"foot_force[{i}] > 20" for i, leg in enumerate(GO_LEGS)}
 
 
@@ -77,7 +76,7 @@ def test_leg_with_listed_joints(tmp_path: Path) -> None:
 
 def test_quadruped_with_its_imu_and_feet(tmp_path: Path) -> None:
     """A robot with the maker's names needs neither a preset nor a list; thresholds of its feet make flags."""
-    columns = in_order(record(TRUTH, "stand", seconds=4.0, seed=0).columns, GO_JOINTS)
+    columns = in_order(record_quadruped("stand", 4.0).columns, GO_JOINTS)
     table = write_table(tmp_path / "stand.csv", columns)
     path = write_low_states(tmp_path / "stand.mcap", columns, GO_JOINTS)
     urdf = tmp_path / "go.urdf"

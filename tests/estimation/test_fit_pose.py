@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from ground.logs import Recording, Sensors, config_text, record, write_csv
-from ground.quadruped import FEET, true_quadruped
+from ground.quadruped import FEET
 from ground.robot import prior_robot, urdf_text
+from quadruped_recordings import TRUTH, record_quadruped
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -24,19 +25,18 @@ from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 from idtool.setup import make_initial_config
 
-TRUTH = true_quadruped(0)
 BY_POSE = dict(parse_yaml(Path("pose.yaml"), config_text(TRUTH, base_sensor="pose").encode()))
 IMU = "imu_"
 
 
 @pytest.fixture(scope="module")
 def stand() -> Recording:
-    return record(TRUTH, "stand", 4.5, seed=0, sensors=Sensors(pose_rate=250, pose_delay=0.02))
+    return record_quadruped("stand", 4.5, sensors=Sensors(pose_rate=250, pose_delay=0.02))
 
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    return record(TRUTH, "walk", 4.0, seed=1, sensors=Sensors(pose_rate=1000))
+    return record_quadruped("walk", 4.0, seed=1, sensors=Sensors(pose_rate=1000))
 
 
 def write_robot(folder: Path) -> Path:

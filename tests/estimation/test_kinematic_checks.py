@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground.logs import Recording, config_text, record, write_csv
-from ground.plant import Physics
-from ground.quadruped import FEET, true_quadruped
+from ground.logs import Recording, config_text, write_csv
+from ground.quadruped import FEET
 from ground.robot import Robot, prior_robot, urdf_text
+from quadruped_recordings import TRUTH, record_quadruped
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -28,23 +28,22 @@ from idtool.estimation.dataset.kinematic_checks import kinematic_notices
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot
 
-TRUTH = true_quadruped(0)
 CODES = ("foot_slip", "imu_mount", "imu_against_feet")
 
 
 @pytest.fixture(scope="module")
 def stand() -> Recording:
-    return record(TRUTH, "stand", seconds=4.0, seed=0)
+    return record_quadruped("stand", 4.0)
 
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    return record(TRUTH, "walk", seconds=4.0, seed=1)
+    return record_quadruped("walk", 4.0, seed=1)
 
 
 @pytest.fixture(scope="module")
 def on_ice() -> Recording:
-    return record(TRUTH, "stand", seconds=4.0, seed=0, physics=Physics(slippery_feet={"FL_foot": 0.05}))
+    return record_quadruped("stand", 4.0, slippery_foot="FL_foot")
 
 
 def write_robot(folder: Path, recording: Recording, robot: Robot = TRUTH) -> tuple[Path, Path]:

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground.logs import config_text, record, write_csv
-from ground.quadruped import JOINTS, true_quadruped
+from ground.logs import config_text, write_csv
+from ground.quadruped import JOINTS
 from ground.robot import urdf_text as quadruped_urdf
+from quadruped_recordings import TRUTH, record_quadruped
 from sensor_arm import COULOMB, SENSOR, Push, urdf_text, write_log
 from sensor_arm import JOINTS as ARM_JOINTS
 
@@ -17,7 +18,6 @@ import idtool
 from idtool.common.exceptions import LogError
 from idtool.common.safe_yaml import parse_yaml
 
-TRUTH = true_quadruped(0)
 PUSH = Push(np.array([12.0, -8.0, 15.0, 0.0, 0.0, 0.0]), np.array([0.2, 0.01, 0.03]))
 SECONDS = 8.0
 
@@ -26,7 +26,7 @@ SECONDS = 8.0
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("robots")
     for kind in ("stand", "hang"):
-        write_csv(path / f"{kind}.csv", record(TRUTH, kind, seconds=4.0, seed=0))
+        write_csv(path / f"{kind}.csv", record_quadruped(kind, 4.0))
     (path / "quadruped.urdf").write_text(quadruped_urdf(TRUTH))
     (path / "arm.urdf").write_text(urdf_text())
     write_log(path / "touched.csv", SECONDS, np.zeros(6), push=PUSH)

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ground.logs import config_text, record, write_csv
+from ground.logs import config_text, write_csv
 from ground.quadruped import JOINTS as QUADRUPED_JOINTS
-from ground.quadruped import true_quadruped
 from ground.robot import prior_robot
 from ground.robot import urdf_text as quadruped_urdf
 from prescribed_motions import silent
+from quadruped_recordings import TRUTH, record_quadruped
 from sensor_arm import COULOMB, JOINTS, LINKS, SENSOR, Push, urdf_text, write_log
 
 import idtool
@@ -25,7 +25,6 @@ from idtool.estimation.evaluation.torque_errors import evaluate
 from idtool.estimation.study.learning import gather, held_out, rms
 from idtool.robot.model import BASE_COORDINATES
 
-TRUTH = true_quadruped(0)
 PUSH = Push(np.array([12.0, -8.0, 15.0, 0.0, 0.0, 0.0]), np.array([0.2, 0.01, 0.03]))
 TOOL = {"name": "tool", "link": "hand", "point": [*PUSH.point], "flag": "contact_tool", "widen": 0.01}
 HAND = LINKS[-1]
@@ -37,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_log(path / "touched.csv", 8.0, np.zeros(6), push=PUSH)
     write_log(path / "without_torque.csv", 8.0, np.zeros(6), with_torque=False)
     for kind in ("stand", "hang"):
-        write_csv(path / f"{kind}.csv", record(TRUTH, kind, seconds=4.0, seed=0))
+        write_csv(path / f"{kind}.csv", record_quadruped(kind, 4.0))
     lighter = urdf_text()
     for link in LINKS:
         lighter = lighter.replace(f'mass value="{link.mass}"', f'mass value="{0.8 * link.mass:g}"')

@@ -12,14 +12,13 @@ from commands import idtool
 from exciting import derivatives
 from ground.logs import Recording, config_text, record, write_csv
 from ground.playback import play
-from ground.quadruped import FEET, JOINTS, true_quadruped
+from ground.quadruped import FEET, JOINTS
 from ground.robot import prior_robot, urdf_text
+from quadruped_recordings import TRUTH, record_quadruped
 
 import idtool as api
 from idtool.common.safe_yaml import parse_yaml
 from idtool.data.logs import read_log
-
-TRUTH = true_quadruped(0)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +98,7 @@ def test_errors_are_predicted_in_the_band_of_a_pose(folder: Path) -> None:
 
 
 def test_logs_whose_torque_wrench_sensors_replace_are_refused(folder: Path) -> None:
-    columns = record(TRUTH, "stand", 1.0, 0).columns
+    columns = record_quadruped("stand", 1.0).columns
     without_torque = {name: x for name, x in columns.items() if not name.startswith("tau_")}
     write_csv(folder / "without_torque.csv", Recording(without_torque))
     content = dict(parse_yaml(folder / "quadruped.yaml", config_text(TRUTH).encode()))

@@ -17,15 +17,16 @@ DRIVER = shutil.which("chromedriver")
 OPTIONS = [
     *("--headless=new", "--no-sandbox", "--no-first-run", "--disable-background-networking", "--disable-sync"),
     *("--disable-component-update", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    "--disable-gpu-rasterization",  # which Debian's Chromium has on; in software it takes longer
 ]
 SECONDS = 120.0
 
-# In the page: every fold is opened in turn, and all is scrolled past.
-USE = """const done = arguments[0];
+# In the page: every fold that has some of these plots is opened in turn, and scrolled past.
+USE = """const [which, done] = arguments;
 (async () => {
 const wait = (ms) => new Promise((done) => setTimeout(done, ms));
 const frame = () => new Promise((done) => requestAnimationFrame(() => setTimeout(done, 20)));
-const all = [...document.querySelectorAll(".plot")];
+const all = [...document.querySelectorAll(which)];
 const blank = [];
 for (const plot of all) {
   for (let fold = plot.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
@@ -76,13 +77,13 @@ class Browser:
     def _set(self, what: str, **values: Any) -> None:
         self._ask("/goog/cdp/execute", {"cmd": f"Emulation.{what}", "params": values})
 
-    def use(self, page: Path, width: int, dark: bool) -> dict[str, Any]:
-        """Open a page, so many pixels wide, and use it: figures by name."""
+    def use(self, page: Path, width: int, dark: bool, plots: str = ".plot") -> dict[str, Any]:
+        """Open a page, so many pixels wide, and use it, all of it or some plots by their selector: figures by name."""
         self._set("setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=width < 600)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._set("setEmulatedMedia", features=[scheme])
         self._ask("/url", {"url": page.as_uri()})
-        found = self._ask("/execute/async", {"script": USE, "args": []})
+        found = self._ask("/execute/async", {"script": USE, "args": [plots]})
         assert isinstance(found, dict)
         found["dark"] = sum(map(int, re.findall(r"\d+", found["background"])[:3])) < 3 * 128
         found["wrong"] = [

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from ground.logs import Recording, config_text, record, write_csv, write_mcap
-from ground.plant import Physics
-from ground.quadruped import FEET, FOOT_RADIUS, JOINTS, true_quadruped
+from ground.logs import Recording, config_text, write_csv, write_mcap
+from ground.quadruped import FEET, FOOT_RADIUS, JOINTS
 from ground.robot import Array, prior_robot, urdf_text
+from quadruped_recordings import TRUTH, record_quadruped
 from sensor_arm import CHANNELS, SENSOR, write_log
 from sensor_arm import urdf_text as arm_text
 
@@ -22,7 +22,6 @@ from idtool.common.safe_yaml import parse_yaml
 from idtool.robot.urdf.reading import read_robot
 from idtool.setup import InitialConfig, make_initial_config
 
-TRUTH = true_quadruped(0)
 BALL = f'<collision><geometry><sphere radius="{FOOT_RADIUS}"/></geometry></collision>'
 KINDS = ("stand", "hang")
 NO_TRIALS: Mapping[str, Any] = {"friction": {"viscous": True}, "effects": []}
@@ -30,7 +29,7 @@ NO_TRIALS: Mapping[str, Any] = {"friction": {"viscous": True}, "effects": []}
 
 @pytest.fixture(scope="module")
 def recordings() -> dict[str, Recording]:
-    return {kind: record(TRUTH, kind, seconds=5.0, seed=0) for kind in KINDS}
+    return {kind: record_quadruped(kind, 5.0) for kind in KINDS}
 
 
 @pytest.fixture
@@ -209,7 +208,7 @@ def test_radius_is_left_to_the_user_without_standing_and_where_a_foot_slips(
 ) -> None:
     without_balls(urdf)
     hanging = {"hang": recordings["hang"]}
-    on_ice = record(TRUTH, "stand", 5.0, seed=0, physics=Physics(slippery_feet={"FL_foot": 0.05}))
+    on_ice = record_quadruped("stand", 5.0, slippery_foot="FL_foot")
     for logs in (hanging, {"stand": on_ice}):
         first = first_config(urdf, logs_of(tmp_path, logs), NO_TRIALS)
         assert not any("radius" in contact for contact in first.data["contacts"])

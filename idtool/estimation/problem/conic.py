@@ -12,10 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import clarabel
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from idtool.common.arrays import Array
@@ -236,16 +238,23 @@ def _add_log_det(rows: _ConeRows, q: Array, term: LogDet, problem: Problem, star
 
 def svec(matrices: Array) -> Array:
     """Upper triangles column by column, off the diagonal times √2; shape (..., n, n) to (..., n (n + 1) / 2)."""
-    column, row = np.tril_indices(matrices.shape[-1])
-    return np.asarray(matrices[..., row, column] * np.where(row == column, 1.0, np.sqrt(2)))
+    row, column, factor = _upper_triangle(matrices.shape[-1])
+    return np.asarray(matrices[..., row, column] * factor)
 
 
 def smat(vector: Array, n: int) -> Array:
     """The symmetric matrix of `svec`, shape (n, n)."""
-    column, row = np.tril_indices(n)
+    row, column, factor = _upper_triangle(n)
     matrix = np.empty((n, n))
-    matrix[row, column] = matrix[column, row] = vector / np.where(row == column, 1.0, np.sqrt(2))
+    matrix[row, column] = matrix[column, row] = vector / factor
     return matrix
+
+
+@cache
+def _upper_triangle(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Rows and columns of an upper triangle's entries, column by column, and their factors in `svec`."""
+    column, row = np.tril_indices(n)
+    return row, column, np.where(row == column, 1.0, np.sqrt(2))
 
 
 def _run(P: Any, q: Array, rows: _ConeRows, settings: Mapping[str, Any]) -> Any:

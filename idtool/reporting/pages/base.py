@@ -22,8 +22,10 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import jinja2
+from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
 from plotly.offline import get_plotlyjs
+from typing_extensions import override
 
 from idtool.common.number_text import number, with_error
 from idtool.reporting.number_text import metres, percent
@@ -33,6 +35,25 @@ from idtool.reporting.sections.base import Section
 
 _CODE = re.compile("`([^`\n]+)`")
 _WITHIN_FIGURE = re.compile(r" (?=[±→])|(?<=[±→]) |(?<=\d) (?=[^\W\d])")  # the last before a unit
+
+
+class _CompiledTemplates(jinja2.BytecodeCache):
+    """Templates as compiled for the first page of this process."""
+
+    def __init__(self) -> None:
+        self._code: dict[str, bytes] = {}
+
+    @override
+    def load_bytecode(self, bucket: Bucket) -> None:
+        if bucket.key in self._code:
+            bucket.bytecode_from_string(self._code[bucket.key])
+
+    @override
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        self._code[bucket.key] = bucket.bytecode_to_string()
+
+
+_COMPILED_TEMPLATES = _CompiledTemplates()
 
 Sections = Sequence[tuple[str, str | Sequence[Figure]] | Section[Any]]
 
@@ -77,6 +98,7 @@ def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        bytecode_cache=_COMPILED_TEMPLATES,
     )
     figures = EmbeddedFigures()
     environment.filters.update(
