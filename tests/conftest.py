@@ -60,6 +60,13 @@ def leg(rng: np.random.Generator) -> str:
 
 
 @pytest.fixture
+def short_study(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Studies without local solvers and the many draws of few samples, where only files and words matter."""
+    monkeypatch.setattr("idtool.estimation.study.study.LOCAL", {})
+    monkeypatch.setattr("idtool.estimation.study.learning._FEW_SAMPLES_FACTOR", 1)
+
+
+@pytest.fixture
 def read(written: Callable[[str | bytes, str], Path]) -> Callable[[str | bytes], Config]:
     """Reads a configuration from its text."""
     return lambda text: read_config(written(text, "robot.yaml"))

@@ -86,13 +86,6 @@ def test_the_page_of_a_study(folder: Path, studied: Any) -> None:
         assert name in page
 
 
-@pytest.fixture
-def short_study(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Studies without local solvers and the many draws of few samples, where only files and words matter."""
-    monkeypatch.setattr("idtool.estimation.study.study.LOCAL", {})
-    monkeypatch.setattr("idtool.estimation.study.learning._FEW_SAMPLES_FACTOR", 1)
-
-
 @pytest.mark.usefixtures("short_study")
 def test_a_quiet_study_prints_nothing_and_without_out_files_go_where_the_user_is(folder: Path, tmp_path: Path) -> None:
     log, urdf = folder / "log.csv", folder / "leg.urdf"

@@ -76,7 +76,7 @@ def test_leg_with_listed_joints(tmp_path: Path) -> None:
 
 def test_quadruped_with_its_imu_and_feet(tmp_path: Path) -> None:
     """A robot with the maker's names needs neither a preset nor a list; thresholds of its feet make flags."""
-    columns = in_order(record_quadruped("stand", 4.0).columns, GO_JOINTS)
+    columns = in_order(record_quadruped("stand", 2.0).columns, GO_JOINTS)
     table = write_table(tmp_path / "stand.csv", columns)
     path = write_low_states(tmp_path / "stand.mcap", columns, GO_JOINTS)
     urdf = tmp_path / "go.urdf"

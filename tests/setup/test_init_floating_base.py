@@ -109,9 +109,8 @@ def test_mass_is_that_of_the_ground_logs_though_something_holds_the_robot_in_ano
     assert (note.subject, "100 %" in note.message) == ("hang.csv", True)
 
 
-def test_of_several_imus_the_one_in_all_logs_is_read(
-    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
-) -> None:
+def test_of_several_imus_the_one_in_all_logs_is_read(tmp_path: Path, urdf: Path) -> None:
+    recordings = {kind: record_quadruped(kind, 2.0) for kind in KINDS}
     logs = [tmp_path / f"{kind}.mcap" for kind in KINDS]
     write_mcap(logs[0], TRUTH, recordings["stand"], imu_topics=("/cam", "/body/imu"))
     write_mcap(logs[1], TRUTH, recordings["hang"], imu_topics=("/body/imu",))
@@ -124,10 +123,8 @@ def test_of_several_imus_the_one_in_all_logs_is_read(
 
 
 @pytest.mark.parametrize("frame", ["world", "link"])
-def test_axes_of_measured_forces_are_found(
-    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording], frame: str
-) -> None:
-    standing = recordings["stand"]
+def test_axes_of_measured_forces_are_found(tmp_path: Path, urdf: Path, frame: str) -> None:
+    standing = record_quadruped("stand", 2.0)
     if frame == "link":
         standing = Recording({**standing.columns, **_forces_along_links(urdf, standing)})
     logs = logs_of(tmp_path, {"stand": standing}, "contact_")
@@ -136,10 +133,8 @@ def test_axes_of_measured_forces_are_found(
     assert "contacts.frame" not in [item.key for item in result.todo]
 
 
-def test_forces_are_along_the_links_if_no_orientation_was_logged(
-    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
-) -> None:
-    logs = logs_of(tmp_path, {"stand": recordings["stand"]}, "contact_", "imu_q")
+def test_forces_are_along_the_links_if_no_orientation_was_logged(tmp_path: Path, urdf: Path) -> None:
+    logs = logs_of(tmp_path, {"stand": record_quadruped("stand", 2.0)}, "contact_", "imu_q")
     result = first_config(urdf, logs, NO_TRIALS)
     assert {contact["frame"] for contact in result.data["contacts"]} == {"link"}
     assert "contacts.frame" in [item.key for item in result.todo]
