@@ -56,7 +56,7 @@ def main() -> None:
             continue
         tested[loaded] = kernel
         print(f"{kernel}: numpy and scipy have loaded {' and '.join(loaded)}", flush=True)
-        tests = [sys.executable, "-m", "pytest", "-n", options.jobs, "-m", "not slow"]
+        tests = [sys.executable, "-m", "pytest", "-n", options.jobs, "--dist", "worksteal", "-m", "not slow"]
         if subprocess.run(tests, env=environment(kernel), check=False).returncode:
             failed.append(kernel)
     if failed:

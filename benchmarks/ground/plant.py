@@ -89,6 +89,7 @@ class Plant:
         self._joint_qpos = np.array([joint.qposadr[0] for joint in joints])
         self._joint_dofs = np.array([joint.dofadr[0] for joint in joints])
         self._rotor_qpos = np.array([joint.qposadr[0] for joint in rotors])
+        self._foot_sites = [self.model.site(foot.name).id for foot in robot.feet]
         self._balls = [[_Ball(self.model, foot, k) for k in range(len(foot.corners))] for foot in robot.feet]
         self.G = np.zeros((self.model.nv, BASE + len(joints)))
         self.G[:BASE, :BASE] = np.eye(BASE)
@@ -102,6 +103,7 @@ class Plant:
         self._hook_at: Array | None = None  # of a robot that hangs on a rope, as it begins
         self.wrenches = np.zeros((len(robot.feet), 6))
         self.sensor_wrenches = np.zeros((len(robot.wrench_sensors), 6))
+        self._max_impulse = np.concatenate([np.zeros(BASE), step * robot.coulomb])
         self._M = np.zeros((self.model.nv, self.model.nv))
         self._bias = np.zeros(self.model.nv)
         self.acceleration = np.zeros(BASE + len(joints))
@@ -145,8 +147,7 @@ class Plant:
         generalized[BASE:] += tau - self._robot.viscous * self.v[BASE:]
         M_inverse = np.linalg.inv(self.G.T @ self._M @ self.G)
         v_free = self.v + dt * M_inverse @ generalized
-        largest = np.concatenate([np.zeros(BASE), dt * self._robot.coulomb])
-        v = velocity_with_dry_friction(M_inverse, v_free, largest, self.v)
+        v = velocity_with_dry_friction(M_inverse, v_free, self._max_impulse, self.v)
         self.acceleration = (v - self.v) / dt
         if len(self.sensor_wrenches):
             self._read_sensors()
@@ -158,9 +159,9 @@ class Plant:
         """Add the forces of the ground on all feet to the forces on all coordinates."""
         self.wrenches[:] = 0.0
         self.data.xfrc_applied[:] = 0.0
-        for foot, wrench, balls in zip(self._robot.feet, self.wrenches, self._balls, strict=True):
-            site = self.data.site(foot.name)
-            R = site.xmat.reshape(3, 3) if foot.is_sole else np.eye(3)
+        for foot, site, wrench, balls in zip(
+            self._robot.feet, self._foot_sites, self.wrenches, self._balls, strict=True
+        ):
             friction = self._physics.slippery_feet.get(foot.name, self._physics.friction_coefficient)
             for ball in balls:
                 contact = ball.touch(self.model, self.data, friction, self._step)
@@ -169,10 +170,15 @@ class Plant:
                 point, push = contact
                 mujoco.mj_applyFT(self.model, self.data, push, np.zeros(3), point, ball.body, force)
                 about_com = _cross(point - self.data.xipos[ball.body], push)
-                self.data.xfrc_applied[ball.body] += [*push, *about_com]
-                wrench[:3] += R.T @ push
+                applied = self.data.xfrc_applied[ball.body]
+                applied[:3] += push
+                applied[3:] += about_com
                 if foot.is_sole:
-                    wrench[3:] += R.T @ _cross(point - site.xpos, push)
+                    R = self.data.site_xmat[site].reshape(3, 3)
+                    wrench[:3] += R.T @ push
+                    wrench[3:] += R.T @ _cross(point - self.data.site_xpos[site], push)
+                else:
+                    wrench[:3] += push
 
     def _read_sensors(self) -> None:
         """Read MuJoCo's sensors of force and moment at this step's accelerations."""

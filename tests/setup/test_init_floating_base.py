@@ -81,10 +81,8 @@ def test_errors_are_those_of_the_configuration_by_hand(
     assert robot.mass == pytest.approx(TRUTH.mass, rel=5e-3)
 
 
-def test_what_holds_the_robot_without_a_flag_is_found(
-    tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]
-) -> None:
-    logs = logs_of(tmp_path, recordings, "contact_", "force_")
+def test_what_holds_the_robot_without_a_flag_is_found(tmp_path: Path, urdf: Path) -> None:
+    logs = logs_of(tmp_path, {kind: record_quadruped(kind, 3.0) for kind in KINDS}, "contact_", "force_")
     contacts = first_config(urdf, logs, NO_TRIALS).data["contacts"]
     assert [contact["flag"] for contact in contacts] == ["auto"] * (len(FEET) + 1)
     assert contacts[-1] == {"name": "support", "link": "trunk", "kind": "surface", "flag": "auto"}
