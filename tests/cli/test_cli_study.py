@@ -49,7 +49,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def studied(folder: Path) -> Any:
     """A study that writes files and prints JSON."""
-    return idtool("study", "leg.urdf", "log.csv", "--draws", "5", "--out", "out", "--json", folder=folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("idtool.estimation.study.learning._FEW_SAMPLES_FACTOR", 1)  # as many draws of few samples
+        return idtool("study", "leg.urdf", "log.csv", "--draws", "5", "--out", "out", "--json", folder=folder)
 
 
 @pytest.fixture(scope="module")

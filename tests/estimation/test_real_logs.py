@@ -85,7 +85,9 @@ def test_pandas_files_are_the_identified_model(tmp_path: Path) -> None:
     assert validation["band_hz"] == report["band_hz"]
 
 
-@pytest.fixture(scope="module", params=[None, FL_LEG], ids=["quadruped", "one leg"])
+@pytest.fixture(
+    scope="module", params=[pytest.param(None, marks=pytest.mark.slow), FL_LEG], ids=["quadruped", "one leg"]
+)
 def go2(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """A configuration, and the report of a fit with it to three runs, validated on a fourth."""
     folder = tmp_path_factory.mktemp("go2")
