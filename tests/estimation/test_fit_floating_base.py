@@ -31,6 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("quadruped")
     for kind in ("stand", "hang"):
         write_csv(path / f"{kind}.csv", record_quadruped(kind, 5.0))
+        write_csv(path / f"short_{kind}.csv", record_quadruped(kind, 2.0))
     (path / "true.urdf").write_text(urdf_text(TRUTH))
     (path / "prior.urdf").write_text(urdf_text(prior_robot(TRUTH, 0)))
     return path
@@ -88,8 +89,7 @@ def test_band_ends_where_the_noise_of_the_gyroscope_counts_unless_it_is_given(fo
 def test_written_logs_give_the_same_robot(folder: Path, tmp_path: Path) -> None:
     """A log with its sensors, written as CSV and as MCAP."""
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
-    first = tmp_path / "first.csv"
-    write_csv(first, record_quadruped("hang", 2.0))
+    first = folder / "short_hang.csv"
     log = idtool.Log(first)
     masses = []
     for path in (first, log.save(tmp_path / "hang.csv"), log.save(tmp_path / "hang.mcap")):
@@ -246,7 +246,7 @@ def test_what_contacts_leave_nothing_of_is_not_determined(folder: Path) -> None:
     """A rope that always holds the trunk, and nothing else: the weight is the rope's."""
     rope = {"name": "rope", "link": "trunk", "kind": "surface"}
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown", contacts=[rope]))
-    result = idtool.fit(model, folder / "hang.csv", quick=True)
+    result = idtool.fit(model, folder / "short_hang.csv", quick=True)
     robot = result.whole_robot
     assert robot is not None
     assert robot.mass_standard_error is None
@@ -261,7 +261,7 @@ def test_what_rounding_alone_determines_has_no_standard_error(folder: Path) -> N
         for contact in content["contacts"]
     ]
     model = idtool.Model(folder / "prior.urdf", config=content)
-    result = idtool.fit(model, [folder / "stand.csv", folder / "hang.csv"], quick=True)
+    result = idtool.fit(model, [folder / "short_stand.csv", folder / "short_hang.csv"], quick=True)
     robot = result.whole_robot
     assert robot is not None
     assert robot.mass_standard_error is None
