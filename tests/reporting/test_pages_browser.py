@@ -17,6 +17,7 @@ from idtool.reporting.pages import diagnosis_page
 
 pytestmark = pytest.mark.skipif(DRIVER is None, reason="no chromedriver: install Debian's chromium-driver or Chrome's")
 
+EFFECTS = ("--effects", "parallel_spring")  # for the same page as with all others, since nothing is found
 PAGES = ("report.html", "validation.html", "diagnosis.html", "study.html")
 
 
@@ -35,7 +36,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for command in (
         ("fit", LEG, TRAIN, "--validate", VALIDATE),
         ("validate", LEG, VALIDATE),
-        ("diagnose", LEG, TRAIN, "--validate", VALIDATE, "--no-simulation", "--report-only"),
+        ("diagnose", LEG, TRAIN, "--validate", VALIDATE, "--no-simulation", "--report-only", *EFFECTS),
     ):
         assert idtool(*command, "--out", out, "--quiet").code == 0
     with pytest.MonkeyPatch.context() as patch:
