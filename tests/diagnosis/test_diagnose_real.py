@@ -75,7 +75,7 @@ def payload_found(folder: Path, log: Path) -> dict[str, Any]:
 
 
 def test_a_payload_is_weighed_on_the_link_that_carries_it(tmp_path: Path) -> None:
-    """On the hand of an arm: with the model of the log's first half, in its third quarter."""
+    """On the hand of an arm: with the model of the log's first half, in its second half."""
     whole = pin.buildModelFromUrdf(str(PANDA))
     fingers = [whole.getJointId(name) for name in whole.names if "finger" in name]
     arm = pin.buildReducedModel(whole, fingers, pin.neutral(whole))
@@ -83,13 +83,13 @@ def test_a_payload_is_weighed_on_the_link_that_carries_it(tmp_path: Path) -> Non
     payload = pin.Inertia(mass, center, np.diag([0.012, 0.010, 0.008]))
 
     log = read_log(REAL / "panda" / "excitation.mcap")
-    half, end = len(log.t) // 2, 3 * len(log.t) // 4
+    half = len(log.t) // 2
     empty = {name: x[:half] for name, x in log.signals.items()}
-    loaded = {name: x[half:end] for name, x in log.signals.items()}
-    added = payload_torque(arm, "panda_hand", payload, log.t[half:end], loaded["q"], loaded["v"], cutoff=20)
+    loaded = {name: x[half:] for name, x in log.signals.items()}
+    added = payload_torque(arm, "panda_hand", payload, log.t[half:], loaded["q"], loaded["v"], cutoff=20)
     loaded["tau"] = loaded["tau"] + added
     write_log(tmp_path / "empty.csv", make_log(tmp_path / "empty.csv", log.t[:half], log.joints, empty))
-    write_log(tmp_path / "loaded.csv", make_log(tmp_path / "loaded.csv", log.t[half:end], log.joints, loaded))
+    write_log(tmp_path / "loaded.csv", make_log(tmp_path / "loaded.csv", log.t[half:], log.joints, loaded))
 
     fitted(tmp_path / "model", PANDA, tmp_path / "empty.csv", "--config", CONFIGS / "panda.yaml")
     step = payload_found(tmp_path / "model", tmp_path / "loaded.csv")
