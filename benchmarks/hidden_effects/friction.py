@@ -234,7 +234,7 @@ def velocity_with_dry_friction(M_inverse: Array, v_free: Array, max_impulse: Arr
     if ((v * v_before > 0) | (max_impulse == 0)).all():
         return np.asarray(v)  # nothing stops or reverses
     v_of_sets = _velocity_by_active_sets(M_inverse, v_free, max_impulse, v_before)
-    return _velocity_by_sweeps(M_inverse, v_free, max_impulse, v_before) if v_of_sets is None else v_of_sets
+    return velocity_by_sweeps(M_inverse, v_free, max_impulse, v_before) if v_of_sets is None else v_of_sets
 
 
 def _velocity_by_active_sets(M_inverse: Array, v_free: Array, max_impulse: Array, v_before: Array) -> Array | None:
@@ -261,7 +261,7 @@ def _velocity_by_active_sets(M_inverse: Array, v_free: Array, max_impulse: Array
     return None
 
 
-def _velocity_by_sweeps(M_inverse: Array, v_free: Array, max_impulse: Array, v_before: Array) -> Array:
+def velocity_by_sweeps(M_inverse: Array, v_free: Array, max_impulse: Array, v_before: Array) -> Array:
     """Velocity by one coordinate's impulse after the other, until none changes."""
     impulse = max_impulse * np.sign(v_before)
     v = v_free - M_inverse @ impulse

@@ -12,7 +12,7 @@ import pytest
 from hidden_effects.case_files import write_case
 from hidden_effects.case_list import KINDS, Case, list_cases
 from hidden_effects.effects import HiddenEffect, PreslidingFriction, SensorErrors, apply_effects, saturated_torque
-from hidden_effects.friction import velocity_with_dry_friction
+from hidden_effects.friction import velocity_by_sweeps, velocity_with_dry_friction
 from hidden_effects.logs import Sensors, measured_torque, record
 from hidden_effects.magnitudes import EFFECTS
 from hidden_effects.motion import draw_motion, nominal_torque
@@ -115,6 +115,8 @@ def test_dry_friction_holds_or_resists(rng: np.random.Generator) -> None:
         assert (np.abs(impulse) <= most + 1e-6).all()
         moving = np.abs(after) > 1e-6
         np.testing.assert_allclose(impulse[moving], (most * np.sign(after))[moving], atol=1e-6)
+        by_sweeps = velocity_by_sweeps(W, free, most, before)  # where the choice of those at rest does not settle
+        np.testing.assert_allclose(after, by_sweeps, atol=1e-5)
 
 
 def test_a_joint_sticks_until_the_torque_is_larger() -> None:
