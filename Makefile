@@ -4,6 +4,7 @@ PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3,$(she
 BIN := .venv/bin
 READY := .venv/.ready
 JOBS ?= 2
+unexport PYTHONDONTWRITEBYTECODE  # else every program that a test starts compiles the package anew
 KERNELS ?= Haswell SkylakeX Zen Sandybridge
 
 .PHONY: demo test test-blas test-slow test-rerun docs benchmarks coverage scoreboard samples lock clean regularization
