@@ -377,8 +377,7 @@ def _load_experiment(
     if not logs:
         return None
     experiment, _, _ = with_delay(prepare(robot, settings, logs, holdout=0.0, transform=check), progress)
-    experiment, _ = with_row_noise(experiment, progress)
-    return experiment
+    return with_row_noise(experiment, progress)
 
 
 def _make_task(

@@ -138,17 +138,15 @@ def fit(
     clock = _Clock()
     experiment, delay, data = with_delay(experiment, progress)
     if experiment.equation.contacts is not None:
-        experiment, data = with_row_noise(experiment, progress)
+        experiment, data = with_row_noise(experiment, progress), None
     experiment, data = with_sensor_drift(experiment, progress, data)
     if delay is None and analyze_uncertainty:
         delay = command_delay(experiment, progress)
     clock.stop("delay")
 
-    decorrelated = experiment  # for the estimate only: errors are told row by row
-    if data is not None:
-        decorrelated = with_row_correlation(experiment, data, progress)
-        if decorrelated is not experiment:
-            data = None  # which is large, before the logs are reduced again
+    decorrelated = with_row_correlation(experiment, progress)  # for the estimate only: errors are told row by row
+    if decorrelated is not experiment:
+        data = None
     identification = estimate_from_logs(decorrelated, method, progress, data)
     if experiment.equation.depends_on_parameters:
         path = identification.path

@@ -21,26 +21,24 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.row_filter import ProjectedRows
-from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
+from idtool.estimation.dataset.training_sample import training_sample
 from idtool.estimation.dataset.weights import free_fit
+from idtool.estimation.row_noise import SAMPLE_DURATION
 
-_MOST_SAMPLES = 1500  # to bound time and memory
 _MAX_LOSS = 0.01  # share of a direction that may be eliminated near a sample that tells of it
 _MOST_ITERATIONS = 50
 _CONVERGED = 3e-3  # change of the covariance
 _LEAST_VARIANCE = 0.01  # of a combination of rows relative to a row: no combination weighs more than ten times as much
 
 
-def with_row_correlation(experiment: Experiment, data: tuple[Blocks, ...], progress: Progress) -> Experiment:
+def with_row_correlation(experiment: Experiment, progress: Progress) -> Experiment:
     """Determine the correlation of the rows' noise from what a fit without constraints leaves of them.
 
     Parameters
     ----------
     experiment
         Model and data; with contacts, the equation has the noise of the rows.
-    data
-        The training data, reduced without the correlation.
     progress
         Callback for the stage and its progress, from 0 to 1.
 
@@ -52,11 +50,11 @@ def with_row_correlation(experiment: Experiment, data: tuple[Blocks, ...], progr
     contacts = experiment.equation.contacts
     if contacts is None:
         return experiment
-    reduction = merge_reductions([log.total for log in data])
-    fit = free_fit(experiment.equation, reduction, experiment.equalities)
+    sample = training_sample(experiment, SAMPLE_DURATION)
+    fit = free_fit(sample.equation, sample.reduce(progress), sample.equalities)
     if not fit.is_determined:
         return experiment
-    residuals, seen = _residuals(experiment, contacts, fit.theta, progress)
+    residuals, seen = _residuals(sample, contacts, fit.theta, progress)
     covariance = most_likely_covariance(residuals, seen)
     independent_samples = len(residuals) * np.trace(seen.mean(axis=0)) / len(covariance)
     contacts = contacts.with_correlation(shrunk_correlation(covariance, independent_samples))
@@ -82,8 +80,7 @@ def _residuals(experiment: Experiment, contacts: ContactModel, theta: Array, pro
     equation = experiment.equation
     trained = [run for run in experiment.runs if run.train]
     low_pass = trained[0].signals.low_pass
-    filtered_samples = experiment.samples(held_out=False) / low_pass.stride
-    step = round(max(low_pass.redundancy, filtered_samples / _MOST_SAMPLES, 1))
+    step = max(round(low_pass.redundancy), 1)
     residuals, seen = [], []
     for run in trained:
         stage = f"reading {run.signals.log.path.name}"

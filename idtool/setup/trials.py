@@ -157,7 +157,7 @@ class TrialRunner:
         if contacts is None:
             return experiment
         if self._row_noise is None:
-            experiment, _ = with_row_noise(experiment, self.progress)
+            experiment = with_row_noise(experiment, self.progress)
             self._row_noise = cast(ContactModel, experiment.equation.contacts).noise
             return experiment
         equation = replace(experiment.equation, contacts=contacts.with_noise(self._row_noise))

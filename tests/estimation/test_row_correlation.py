@@ -82,9 +82,7 @@ def test_rows_are_correlated_by_the_inertia_that_noisy_accelerations_move(tmp_pa
     content = parse_yaml(tmp_path, config_text(TRUTH, "measured").encode())
     model = idtool.Model(tmp_path / "true.urdf", config={**content, "filter": {"cutoff_hz": CUTOFF}})
     experiment = load_experiment(model, [tmp_path / "walk.csv"])
-    experiment, data = with_row_noise(experiment, silent)
-    assert data is not None
-    experiment = with_row_correlation(experiment, data, silent)
+    experiment = with_row_correlation(with_row_noise(experiment, silent), silent)
     assert experiment.equation.contacts is not None
     found = experiment.equation.contacts.correlation
     assert found is not None

@@ -142,7 +142,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     if not experiment.samples(held_out=True):
         raise ConfigError("--holdout", "a study compares errors on held-out data; use a larger --holdout or --validate")
     experiment, delay, _ = with_delay(_weakly_regularized(experiment), progress)
-    experiment, _ = with_row_noise(experiment, progress)
+    experiment = with_row_noise(experiment, progress)
     validation = held_out(experiment, progress)
     if not any(factor.rows for factor in validation):
         what = "in the held-out data, unknown contact forces can explain all torques"
