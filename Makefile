@@ -7,7 +7,7 @@ JOBS ?= 2
 unexport PYTHONDONTWRITEBYTECODE  # else every program that a test starts compiles the package anew
 KERNELS ?= Haswell SkylakeX Zen Sandybridge
 
-.PHONY: demo test test-blas test-slow test-rerun docs benchmarks coverage scoreboard samples lock clean regularization
+.PHONY: demo test types tests test-blas test-slow test-rerun docs benchmarks coverage scoreboard samples lock clean regularization
 
 demo: $(READY)  ## fit and validate the sample leg
 	$(BIN)/idtool inspect sample_logs/leg_train.mcap
@@ -17,7 +17,12 @@ demo: $(READY)  ## fit and validate the sample leg
 test: $(READY)  ## style, types and tests
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(MAKE) --no-print-directory --jobs 2 types tests
+
+types: $(READY)
 	$(BIN)/mypy
+
+tests: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist worksteal -m "not slow"
 
 test-blas: $(READY)  ## the tests with OpenBLAS kernels for other CPUs, which round differently

@@ -57,19 +57,18 @@ class DesignCriterion:
         """The criterion, or another one, of an information matrix (r, r); infinite where that is singular."""
         C = self._covariance(M)[np.ix_(self.favoured, self.favoured)]
         kind = criterion or self.kind
-        if not np.isfinite(C).all():
-            return np.inf
-        eigenvalues = np.linalg.eigvalsh(C)
-        smallest, largest = eigenvalues[0], eigenvalues[-1]
-        if smallest <= 0:
+        variances = np.diag(C)
+        if not np.isfinite(C).all() or variances.min() <= 0:
             return np.inf
         if kind == "d":
-            return float(np.exp(np.log(eigenvalues).mean() / 2))
+            return _geometric_mean_deviation(C)
         if kind == "a":
-            return float(np.sqrt(eigenvalues.mean()))
+            return float(np.sqrt(variances.mean()))
+        eigenvalues = np.linalg.eigvalsh(C)
+        smallest, largest = eigenvalues[0], eigenvalues[-1]
         if kind == "e":
             return float(np.sqrt(largest))
-        return float(np.sqrt(largest / smallest))
+        return float(np.sqrt(largest / smallest)) if smallest > 0 else np.inf
 
     def smooth_log(self, M: Array) -> tuple[float, Array]:
         """A smooth approximation of the criterion's logarithm, and its derivative by M, shape (r, r)."""
@@ -96,11 +95,27 @@ class DesignCriterion:
 
     @staticmethod
     def _covariance(M: Array) -> Array:
+        size = np.sqrt(np.diag(M))
+        if size.min() <= 0:
+            return np.full_like(M, np.nan)
         try:
-            C = np.linalg.inv(M)
+            C = np.linalg.inv(M / np.outer(size, size)) / np.outer(size, size)
         except np.linalg.LinAlgError:
             return np.full_like(M, np.nan)
         return np.asarray((C + C.T) / 2)
+
+
+def _geometric_mean_deviation(C: Array) -> float:
+    """Square root of the geometric mean of a covariance's eigenvalues; infinite if it is not positive definite.
+
+    By Cholesky factors of the correlation: the smallest eigenvalues of C may be below the rounding of the largest.
+    """
+    deviations = np.sqrt(np.diag(C))
+    try:
+        factor = np.linalg.cholesky(C / np.outer(deviations, deviations))
+    except np.linalg.LinAlgError:
+        return np.inf
+    return float(np.exp(np.log(deviations * np.diag(factor)).mean()))
 
 
 def _log_norm(L: Array) -> tuple[float, Array]:

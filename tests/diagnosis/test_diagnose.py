@@ -148,6 +148,7 @@ def test_what_is_written_is_the_model_that_was_found(
 PARTS = {"train": 0.7, "validation": 0.3}
 
 
+@pytest.mark.slow
 def test_a_standard_error_does_not_depend_on_the_effects_searched_for(
     stribeck: CaseFiles, stribeck_report: dict[str, Any], folder: Path
 ) -> None:
