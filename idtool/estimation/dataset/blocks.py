@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class Blocks:
     def __len__(self) -> int:
         return len(self.parts)
 
-    @property
+    @cached_property
     def total(self) -> Reduction:
         """The reduction of the whole log."""
         return merge_reductions(self.parts)
