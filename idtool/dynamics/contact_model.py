@@ -179,34 +179,18 @@ class ContactModel:
         along_unit = np.linalg.solve(_gram(unit), unit @ whitened)[:, :, 0]
         return np.asarray(-(along_unit / length[:, :, 0]).T)
 
-    def project(self, projector: Array, rows: Array) -> Array:
-        """Rows of (1) without what unknown forces can exert: whitened, projected, and multiplied by their noise.
+    def gains(self, projector: Array) -> Array:
+        """Matrices that take rows of (1) to rows without what unknown forces can exert, shape (N, nv, nv).
+
+        The rows are whitened, projected, and multiplied by their noise.
 
         Parameters
         ----------
         projector
             From `projector`, shape (N, nv, nv).
-        rows
-            Columns of Y, shape (nv, columns, N), or tau, shape (nv, N).
-
-        Returns
-        -------
-        The same shape.
         """
-        nv, count = len(rows), rows.shape[-1]
-        by_sample = np.moveaxis(rows.reshape(nv, -1, count), -1, 0)  # (N, nv, columns)
-        sigma = self.noise[:, None]
-        whitened = by_sample / sigma
-        if self.correlation is not None:
-            whitened = self._decorrelation @ whitened
-        projected = (projector @ whitened) * sigma
-        in_time = np.ascontiguousarray(np.moveaxis(projected, 0, -1))  # which the filter reads along
-        return in_time.reshape(rows.shape)
-
-    def gains_of_row(self, projector: Array, row: int) -> Array:
-        """Gains by which one row of (1) is in each row from `project`, shape (N, nv)."""
-        whitened = self._decorrelation[:, row] / self.noise[row]
-        return np.asarray((projector @ whitened) * self.noise)
+        of_whitened = projector if self.correlation is None else projector @ self._decorrelation
+        return np.asarray(of_whitened * (self.noise[:, None] / self.noise))
 
     def unknown_directions(self, motion: Motion) -> Array:
         """Generalized force per unit of each component of the unknown contact forces, in body axes, shape (k, nv, N).

@@ -132,15 +132,41 @@ class ProjectedRows(RowFilter):
         by_element = np.ascontiguousarray(np.moveaxis(self.projector, 0, -1))
         return np.asarray(np.moveaxis(self.batch.filter(by_element), -1, 0))
 
+    @cached_property
+    def _gains(self) -> Array:
+        """Matrices that take rows to projected rows, shape (N, nv, nv)."""
+        return self.contacts.gains(self.projector)
+
     @override
     def filter_rows(self, rows: Array) -> Array:
-        return self.batch.filter(self.contacts.project(self.projector, rows))
+        return self.batch.filter(multiply_by_sample(self._gains, rows))
 
     @override
     def filter_columns_of_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
-        gains = self.contacts.gains_of_row(self.projector, row)  # (N, nv)
+        gains = self._gains[:, :, row]  # (N, nv)
         rows = np.flatnonzero(gains.any(axis=0))
         filtered = np.empty((len(rows), len(columns), len(self.batch.t)))
         for out, gain in zip(filtered, gains[:, rows].T, strict=True):
             out[:] = self.batch.filter(columns * gain)
         return rows, filtered
+
+
+def multiply_by_sample(matrices: Array, rows: Array) -> Array:
+    """Product of each sample's matrix and rows.
+
+    Parameters
+    ----------
+    matrices
+        Shape (N, nv, nv).
+    rows
+        Shape (nv, ..., N).
+
+    Returns
+    -------
+    The shape of the rows.
+    """
+    nv, count = len(rows), rows.shape[-1]
+    by_sample = np.moveaxis(rows.reshape(nv, -1, count), -1, 0)  # (N, nv, columns)
+    product = matrices @ by_sample
+    in_time = np.ascontiguousarray(np.moveaxis(product, 0, -1))  # which a filter reads along
+    return in_time.reshape(rows.shape)

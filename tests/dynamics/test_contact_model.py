@@ -11,6 +11,7 @@ from standing_quadruped import PinocchioQuadruped, quadruped_model, random_state
 
 from idtool.data.signals import Motion
 from idtool.dynamics.contact_model import ContactModel
+from idtool.dynamics.row_filter import multiply_by_sample
 
 ROBOT = true_quadruped(0)
 SURFACE = {"name": "rope", "link": "trunk", "kind": "surface", "flag": "contact_rope"}
@@ -51,9 +52,9 @@ def test_projector_eliminates_what_contacts_exert_and_nothing_else(
     np.testing.assert_allclose(np.trace(projector, axis1=1, axis2=2), 18 - 3 * closed, atol=1e-6)
 
     torque = np.stack([exerted(reference, motion, k, rng.normal(size=(4, 3))) for k in range(40)], axis=1)
-    np.testing.assert_allclose(contacts.project(projector, torque), 0, atol=1e-6)
+    np.testing.assert_allclose(multiply_by_sample(contacts.gains(projector), torque), 0, atol=1e-6)
     other = rng.normal(size=(18, 40))
-    assert np.abs(contacts.project(projector, other)).max() > 0.1
+    assert np.abs(multiply_by_sample(contacts.gains(projector), other)).max() > 0.1
 
 
 def test_surface_on_the_base_leaves_no_row_of_the_base(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -79,7 +80,7 @@ def test_unknown_friction_of_a_joint_is_eliminated_with_the_contact_forces(
     torque = np.stack([exerted(reference, motion, k, rng.normal(size=(4, 3))) for k in range(10)], axis=1)
     torque[5, resting] += 3.0
     projector = contacts.projector(motion, {5: resting})
-    np.testing.assert_allclose(contacts.project(projector, torque), 0, atol=1e-6)
+    np.testing.assert_allclose(multiply_by_sample(contacts.gains(projector), torque), 0, atol=1e-6)
     unknown = 3 * motion.contacts.is_closed[:4].sum(axis=0) + resting
     np.testing.assert_allclose(np.trace(projector, axis1=1, axis2=2), 18 - unknown, atol=1e-5)
 
@@ -96,8 +97,9 @@ def test_least_squares_is_that_with_free_forces(tmp_path: Path, rng: np.random.G
     motion.contacts.is_closed[4] = False
     Y, tau = rng.normal(size=(18, 4, 6)), rng.normal(size=(18, 6))
     projector = contacts.projector(motion, {})
-    rows = np.moveaxis(contacts.project(projector, Y), 1, -1) / contacts.noise[:, None, None]
-    right = contacts.project(projector, tau) / contacts.noise[:, None]
+    gains = contacts.gains(projector)
+    rows = np.moveaxis(multiply_by_sample(gains, Y), 1, -1) / contacts.noise[:, None, None]
+    right = multiply_by_sample(gains, tau) / contacts.noise[:, None]
     theta = np.linalg.lstsq(rows.reshape(-1, 4), right.ravel())[0]
 
     whole = []
