@@ -12,7 +12,8 @@ squares on these rows is generalized least squares on (1) with the forces as fre
 Frisch, Waugh and Lovell).
 
 Without correlation, W divides every row by the standard deviation of its noise. With the correlation R, the quotients
-are multiplied by R^(-1/2): of all W, its rows are the closest to those of (1) (Kessy, Lewin & Strimmer 2018, ZCA-cor).
+are multiplied by R^(-1/2): of all whitening matrices, this one changes the rows least (Kessy, Lewin & Strimmer 2018,
+ZCA-cor).
 
 The dry friction of a joint at rest is unknown too. It acts on the joint's own row alone, and is eliminated likewise.
 
@@ -182,7 +183,7 @@ class ContactModel:
     def gains(self, projector: Array) -> Array:
         """Matrices that take rows of (1) to rows without what unknown forces can exert, shape (N, nv, nv).
 
-        The rows are whitened, projected, and multiplied by their noise.
+        The rows are whitened, projected, and multiplied by their noise, so that they are in N or N·m again.
 
         Parameters
         ----------

@@ -122,6 +122,10 @@ class LinearModel:
         effects = tuple(copy(effect) for effect in self.effects)
         return replace(self, effects=effects, operating_point=operating_point)
 
+    def with_contacts(self, contacts: ContactModel) -> LinearModel:
+        """The model with other contacts."""
+        return replace(self, effects=tuple(copy(effect) for effect in self.effects), contacts=contacts)
+
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
         """The p unknowns."""

@@ -156,7 +156,7 @@ def fit(
             config = decorrelated.config.model_copy(update={"regularization": identification.regularization})
             identification = estimate_from_logs(replace(decorrelated, config=config), method, progress)
         identification = replace(identification, path=path)
-        equation = replace(decorrelated.equation, contacts=experiment.equation.contacts)
+        equation = experiment.equation.linearized_at(decorrelated.equation.operating_theta)
         experiment = replace(experiment, equation=equation)
     estimate = identification.estimate
     notices = [*experiment.notices, *(delay.notices if delay else ()), *identification.notices]

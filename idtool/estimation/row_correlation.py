@@ -1,7 +1,7 @@
-"""Correlation of the noise between the rows of a robot with contacts, so that the fit weighs them as they err together.
+"""Correlation of the rows' noise, for generalized least squares on a robot with contacts.
 
-An error in the measured acceleration of the base or of a joint is in all rows, by the inertia that it accelerates: the
-rows err together, and some of their combinations are far more exact than any row. Generalized least squares gives these
+An error in the measured acceleration of the base or of a joint appears in all rows, multiplied by the inertia: the rows
+err together, and some of their combinations are far more exact than any row. Generalized least squares gives these
 their weight (Aitken 1936). As they hold little noise of accelerations, they are also little biased by it.
 
 Unknown contact forces leave only a part of the rows at a sample, so that the correlation is the most likely one by
@@ -22,14 +22,13 @@ from idtool.common.arrays import Array
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.row_filter import ProjectedRows
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
-from idtool.estimation.dataset.training_sample import training_sample
 from idtool.estimation.dataset.weights import free_fit
-from idtool.estimation.row_noise import SAMPLE_DURATION
+from idtool.estimation.row_noise import noise_sample
 
-_MAX_LOSS = 0.01  # share of a direction that may be eliminated near a sample that tells of it
+_MAX_ELIMINATED = 0.01  # largest share of a direction lost to unknown forces that still counts as seen
 _MOST_ITERATIONS = 50
-_CONVERGED = 3e-3  # change of the covariance
-_LEAST_VARIANCE = 0.01  # of a combination of rows relative to a row: no combination weighs more than ten times as much
+_CONVERGED = 3e-3  # change of the covariance, relative to its largest entry
+_LEAST_VARIANCE = 0.01  # smallest eigenvalue of the correlation: no combination counts as ten times as exact as a row
 
 
 def with_row_correlation(experiment: Experiment, progress: Progress) -> Experiment:
@@ -50,19 +49,19 @@ def with_row_correlation(experiment: Experiment, progress: Progress) -> Experime
     contacts = experiment.equation.contacts
     if contacts is None:
         return experiment
-    sample = training_sample(experiment, SAMPLE_DURATION)
-    fit = free_fit(sample.equation, sample.reduce(progress), sample.equalities)
-    if not fit.is_determined:
+    sample = noise_sample(experiment)
+    fit = free_fit(sample.equation, sample.reduce_unchecked(progress), sample.equalities)
+    if not fit.has_enough_samples:
         return experiment
     residuals, seen = _residuals(sample, contacts, fit.theta, progress)
     covariance = most_likely_covariance(residuals, seen)
     independent_samples = len(residuals) * np.trace(seen.mean(axis=0)) / len(covariance)
     contacts = contacts.with_correlation(shrunk_correlation(covariance, independent_samples))
-    return replace(experiment, equation=replace(experiment.equation, contacts=contacts))
+    return replace(experiment, equation=experiment.equation.with_contacts(contacts))
 
 
 def _residuals(experiment: Experiment, contacts: ContactModel, theta: Array, progress: Progress) -> tuple[Array, Array]:
-    """What a model leaves of the rows, in units of their noise, and the projector onto what is seen of them.
+    """Seen part of the residual of a model, and the projectors onto what is seen.
 
     Parameters
     ----------
@@ -75,38 +74,45 @@ def _residuals(experiment: Experiment, contacts: ContactModel, theta: Array, pro
 
     Returns
     -------
-    Shapes (n, nv) and (n, nv, nv).
+    The residual in units of the rows' noise, shape (n, nv), and the projectors, shape (n, nv, nv).
     """
     equation = experiment.equation
-    trained = [run for run in experiment.runs if run.train]
-    low_pass = trained[0].signals.low_pass
-    step = max(round(low_pass.redundancy), 1)
     residuals, seen = [], []
-    for run in trained:
+    for run in experiment.runs:
+        step = round(run.signals.low_pass.redundancy)
         stage = f"reading {run.signals.log.path.name}"
         for batch in tracked(experiment.batches(run, held_out=False), run.train, progress, stage):
             row_filter = cast(ProjectedRows, equation.row_filter(batch))
-            rows_left = row_filter.filter_rows(equation.residual(batch.motion, theta))[:, ::step]
-            part_seen = _seen(row_filter.filtered_projector()[::step])
-            residuals.append(np.einsum("nij,nj->ni", part_seen, rows_left.T / contacts.noise))
-            seen.append(part_seen)
+            residual = equation.residual(batch.motion, theta)
+            projected_residual = row_filter.filter_rows(residual)[:, ::step]
+            projectors = _projectors_onto_seen(row_filter.filtered_projector()[::step])
+            residuals.append(np.einsum("nij,nj->ni", projectors, projected_residual.T / contacts.noise))
+            seen.append(projectors)
     return np.concatenate(residuals), np.concatenate(seen)
 
 
-def _seen(filtered_projector: Array) -> Array:
-    """Projector onto directions of which next to nothing is eliminated within the filter's length, as its argument."""
-    shares, directions = np.linalg.eigh(filtered_projector)
-    is_seen = np.abs(shares - 1) < _MAX_LOSS
+def _projectors_onto_seen(filtered_projector: Array) -> Array:
+    """Projectors onto directions of which next to nothing is eliminated within the filter's length.
+
+    Parameters
+    ----------
+    filtered_projector
+        From `ProjectedRows.filtered_projector`, shape (n, nv, nv).
+    """
+    kept_shares, directions = np.linalg.eigh(filtered_projector)
+    is_seen = np.abs(kept_shares - 1) < _MAX_ELIMINATED
     return np.asarray((directions * is_seen[:, None, :]) @ directions.transpose(0, 2, 1))
 
 
 def most_likely_covariance(residuals: Array, seen: Array) -> Array:
     """Covariance of normally distributed rows of which a part is seen, shape (nv, nv) (Dempster, Laird & Rubin 1977).
 
+    One more sample of little variance keeps it regular.
+
     Parameters
     ----------
     residuals
-        What is seen of them, shape (n, nv).
+        Seen part of the rows, shape (n, nv).
     seen
         Orthogonal projectors onto that part, shape (n, nv, nv).
     """
@@ -114,14 +120,16 @@ def most_likely_covariance(residuals: Array, seen: Array) -> Array:
     unseen = identity - seen
     covariance = identity
     for _ in range(_MOST_ITERATIONS):
-        before = covariance
-        of_seen = seen @ covariance @ seen + unseen  # regular
-        gain = covariance @ seen @ np.linalg.inv(of_seen) @ seen
-        expected_rows = np.einsum("nij,nj->ni", gain, residuals)
-        remaining = covariance - (gain @ covariance).mean(axis=0)
-        covariance = expected_rows.T @ expected_rows / len(residuals) + remaining
+        previous = covariance
+        seen_rows = seen @ covariance
+        seen_covariance = seen_rows @ seen + unseen  # regular, with 1 in unseen directions
+        transposed_gain = np.linalg.solve(seen_covariance, seen_rows)
+        expected_rows = np.einsum("nji,nj->ni", transposed_gain, residuals)
+        explained = np.einsum("nji,njk->ik", seen_rows, transposed_gain, optimize=True) / len(residuals)
+        scatter = expected_rows.T @ expected_rows + _LEAST_VARIANCE * identity
+        covariance = scatter / len(residuals) + covariance - explained
         covariance = (covariance + covariance.T) / 2
-        if np.abs(covariance - before).max() < _CONVERGED:
+        if np.abs(covariance - previous).max() < _CONVERGED * np.abs(covariance).max():
             break
     return covariance
 
@@ -129,7 +137,7 @@ def most_likely_covariance(residuals: Array, seen: Array) -> Array:
 def shrunk_correlation(covariance: Array, independent_samples: float) -> Array:
     """Correlation shrunk towards none by its uncertainty, shape (nv, nv) (Schäfer & Strimmer 2005).
 
-    Its eigenvalues are bounded from below.
+    Its eigenvalues are bounded from below, which may make entries of its diagonal slightly larger than 1.
 
     Parameters
     ----------

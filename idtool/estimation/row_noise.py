@@ -2,7 +2,7 @@
 
 Forces, moments and joint torques differ in unit and in noise. An unknown contact force appears in several rows: how it
 is eliminated depends on the ratios of their noise. These follow from what a fit without constraints leaves of the rows,
-as the weights of the joints do, so that elimination and fit take turns. Half a minute of the logs tells them.
+as the weights of the joints do, so that elimination and fit alternate. A part of long logs tells them.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.training_sample import training_sample
 from idtool.estimation.dataset.weights import free_noise
 
-SAMPLE_DURATION = 30.0  # s, of the training data that the noise is determined from
+_SAMPLE_DURATION = 30.0  # s, of the training data that the noise is determined from, at least
+_SAMPLE_PERIODS = 300.0  # of the band's highest frequency, at least
 _ELIMINATIONS = 2
-_MIN_SHARE = 1e-3  # of the rows of the joint with most, that tell a row's noise
+_MIN_SHARE = 1e-3  # of the largest number of samples of a row; a row with fewer keeps its noise
 
 
 def with_row_noise(experiment: Experiment, progress: Progress) -> Experiment:
@@ -32,21 +33,21 @@ def with_row_noise(experiment: Experiment, progress: Progress) -> Experiment:
         Model and data.
     progress
         Callback for the stage and its progress, from 0 to 1.
-
-    Raises
-    ------
-    LogError
-        If there are fewer samples than it takes.
     """
     contacts = experiment.equation.contacts
     if contacts is None:
         return experiment
-    sample = training_sample(experiment, SAMPLE_DURATION)
+    sample = noise_sample(experiment)
     for _ in range(_ELIMINATIONS):
-        reduction = sample.reduce(progress)
+        reduction = sample.reduce_unchecked(progress)
         contacts = contacts.with_noise(_row_noise(sample, contacts, reduction))
-        sample = replace(sample, equation=replace(sample.equation, contacts=contacts))
-    return replace(experiment, equation=replace(experiment.equation, contacts=contacts))
+        sample = replace(sample, equation=sample.equation.with_contacts(contacts))
+    return replace(experiment, equation=experiment.equation.with_contacts(contacts))
+
+
+def noise_sample(experiment: Experiment) -> Experiment:
+    """The experiment with as much of its training data as it takes to determine the noise of the rows."""
+    return training_sample(experiment, max(_SAMPLE_DURATION, _SAMPLE_PERIODS / experiment.band_hz))
 
 
 def _row_noise(experiment: Experiment, contacts: ContactModel, reduction: Reduction) -> Array:

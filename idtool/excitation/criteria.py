@@ -95,11 +95,13 @@ class DesignCriterion:
 
     @staticmethod
     def _covariance(M: Array) -> Array:
-        size = np.sqrt(np.diag(M))
-        if size.min() <= 0:
+        """Inverse of an information matrix (r, r), by columns of norm one; NaN where it is singular."""
+        norms = np.sqrt(np.diag(M))
+        if norms.min() <= 0:
             return np.full_like(M, np.nan)
+        scale = np.outer(norms, norms)
         try:
-            C = np.linalg.inv(M / np.outer(size, size)) / np.outer(size, size)
+            C = np.linalg.inv(M / scale) / scale
         except np.linalg.LinAlgError:
             return np.full_like(M, np.nan)
         return np.asarray((C + C.T) / 2)

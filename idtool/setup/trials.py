@@ -160,7 +160,7 @@ class TrialRunner:
             experiment = with_row_noise(experiment, self.progress)
             self._row_noise = cast(ContactModel, experiment.equation.contacts).noise
             return experiment
-        equation = replace(experiment.equation, contacts=contacts.with_noise(self._row_noise))
+        equation = experiment.equation.with_contacts(contacts.with_noise(self._row_noise))
         return replace(experiment, equation=equation)
 
 

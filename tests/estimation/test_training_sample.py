@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from paths import SAMPLES
+from prescribed_motions import silent
 
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.dataset.training_sample import training_sample
@@ -43,6 +44,32 @@ def test_windows_are_spread_evenly_over_all_logs(experiment: Experiment) -> None
         np.testing.assert_allclose(left_out[1:-1], 2 * left_out[0], atol=2)
         assert left_out[-1] == pytest.approx(left_out[0], abs=2)
     assert sample.samples(held_out=True) == experiment.samples(held_out=True)
+
+
+def test_windows_are_within_their_part_and_apart(experiment: Experiment) -> None:
+    run = experiment.runs[0]
+    window = round(3.0 / run.signals.log.dt)
+    for samples in np.linspace(window, 4 * window, 13).astype(int).tolist():
+        for share in (0.01, 0.3, 0.5, 0.7, 0.9, 0.99):
+            part = slice(100, 100 + samples)
+            one_part = replace(experiment, runs=(replace(run, train=(part,)),))
+            windows = training_sample(one_part, share * samples * run.signals.log.dt).runs[0].train
+            edges = [part.start, *(edge for each in windows for edge in (each.start, each.stop)), part.stop]
+            assert (np.diff(edges) >= 0).all()
+
+
+def test_of_many_short_parts_only_some_are_taken(experiment: Experiment) -> None:
+    run = experiment.runs[0]
+    start = run.train[0].start
+    short = replace(run, train=tuple(slice(start + 500 * i, start + 500 * i + 400) for i in range(12)))
+    sample = training_sample(replace(experiment, runs=(short, short)), 6 * 400 * run.signals.log.dt)
+    assert [len(each.train) for each in sample.runs] == [3, 3]
+
+
+def test_joints_without_samples_are_no_error(experiment: Experiment) -> None:
+    runs = tuple(replace(run, train=(slice(0, 20),)) for run in experiment.runs)
+    reduction = replace(experiment, runs=runs).reduce_unchecked(silent)
+    assert [factor.rows for factor in reduction] == [0] * len(experiment.model.joints)
 
 
 def test_parts_between_gaps_that_are_short_are_kept_whole(experiment: Experiment) -> None:

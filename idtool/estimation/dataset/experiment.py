@@ -226,6 +226,14 @@ class Experiment:
         LogError
             If a joint has no sample that counts.
         """
+        blocks = self._unchecked_blocks(rows)
+        if not blocks:
+            self.checked(empty(self.equation.active()))
+        self.checked(merge_reductions([log.total for log in blocks]))
+        return blocks
+
+    def _unchecked_blocks(self, rows: Callable[[Run], Rows]) -> tuple[Blocks, ...]:
+        """`blocks`, whose joints may have no sample that counts; none if the logs are too short."""
         blocks = []
         length = self._block_rows()
         for run in self.runs:
@@ -236,9 +244,6 @@ class Experiment:
             if parts:
                 seconds = length * low_pass.stride * run.signals.log.dt
                 blocks.append(Blocks(run.signals.log.path.name, parts, seconds))
-        if not blocks:
-            self.checked(empty(self.equation.active()))
-        self.checked(merge_reductions([log.total for log in blocks]))
         return tuple(blocks)
 
     def _block_rows(self) -> int:
@@ -251,6 +256,11 @@ class Experiment:
     def reduce(self, progress: Progress) -> Reduction:
         """The training data as R-factors; see `checked`."""
         return merge_reductions([log.total for log in self.blocks(lambda run: self.rows(run, progress))])
+
+    def reduce_unchecked(self, progress: Progress) -> Reduction:
+        """The training data as R-factors, of which some joints may have no rows."""
+        blocks = self._unchecked_blocks(lambda run: self.rows(run, progress))
+        return merge_reductions([empty(self.equation.active()), *(log.total for log in blocks)])
 
     def checked(self, data: Reduction) -> Reduction:
         """The training data, checked to have samples for every joint.

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from idtool.estimation.dataset.experiment import Experiment, Run
 
-_WINDOW = 3.0  # s: many times as long as the low-pass's response, at whose ends samples are lost
+_WINDOW = 3.0  # s
+_WINDOW_IN_EDGES = 8  # of the low-pass, of which a window loses one at each end
 
 
 def training_sample(experiment: Experiment, duration: float) -> Experiment:
@@ -20,31 +21,36 @@ def training_sample(experiment: Experiment, duration: float) -> Experiment:
     duration
         About how long the windows are together [s]; with shorter logs, the experiment is as it is.
     """
-    total = sum(_duration(run) for run in experiment.runs)
+    total = sum(_duration(run, run.train) for run in experiment.runs)
     if total <= duration:
         return experiment
+    windows = [(i, window) for i, run in enumerate(experiment.runs) for window in _windows(run, duration / total)]
+    in_windows = sum(_duration(experiment.runs[i], (window,)) for i, window in windows)
+    step = max(round(in_windows / duration), 1)  # of many short parts, only some are taken
+    chosen = windows[::step]
     runs = []
-    for run in experiment.runs:
-        windows = tuple(window for part in run.train for window in _windows(part, run, duration / total))
-        runs.append(replace(run, train=windows))
+    for i, run in enumerate(experiment.runs):
+        runs.append(replace(run, train=tuple(window for k, window in chosen if k == i)))
     return replace(experiment, runs=tuple(runs))
 
 
-def _duration(run: Run) -> float:
-    """Duration of the parts of a log for fitting [s]."""
-    samples = sum(part.stop - part.start for part in run.train)
+def _duration(run: Run, parts: tuple[slice, ...]) -> float:
+    """Duration of parts of a log [s]."""
+    samples = sum(part.stop - part.start for part in parts)
     return float(samples * run.signals.log.dt)
 
 
-def _windows(part: slice, run: Run, share: float) -> Iterator[slice]:
-    """Windows with about a share of a part's samples; all of a part that is not longer than a window."""
-    samples = part.stop - part.start
-    window = round(_WINDOW / run.signals.log.dt)
-    if samples <= window:
-        yield part
-        return
-    count = max(round(share * samples / window), 1)
-    spacing = samples / count
-    for i in range(count):
-        start = part.start + int((i + 0.5) * spacing - window / 2)
-        yield slice(start, start + window)
+def _windows(run: Run, share: float) -> Iterator[slice]:
+    """Windows with about a share of a log's training data, at least one of each part; all of one that is as short."""
+    signals = run.signals
+    length = max(round(_WINDOW / signals.log.dt), _WINDOW_IN_EDGES * signals.full_rate_low_pass.edge)
+    for part in run.train:
+        samples = part.stop - part.start
+        if samples <= length:
+            yield part
+            continue
+        count = min(max(round(share * samples / length), 1), samples // length)
+        spacing = samples / count
+        for i in range(count):
+            start = part.start + int((i + 0.5) * spacing - length / 2)
+            yield slice(start, start + length)

@@ -65,13 +65,13 @@ class FreeFit:
         The coefficients, shape (p,); 0 if there are too few samples for them.
     noise
         Residual noise of each joint, shape (nv,) [N·m or N].
-    is_determined
-        False if there are fewer than two independent samples for each parameter that they determine.
+    has_enough_samples
+        False with fewer than two independent samples for each parameter that the data determine.
     """
 
     theta: Array
     noise: Array
-    is_determined: bool
+    has_enough_samples: bool
 
 
 def free_noise(model: LinearModel, reduction: Reduction, equalities: EqualityConstraints | None = None) -> Array:
@@ -88,20 +88,20 @@ def free_fit(model: LinearModel, reduction: Reduction, equalities: EqualityConst
     """
     K = (equalities or EqualityConstraints.none(len(model.coefficients))).K
     sigma = np.ones(len(reduction))
-    theta, is_determined = np.zeros(len(K)), False
+    independent = sum(factor.independent for factor in reduction)
+    theta, has_enough_samples = np.zeros(len(K)), False
     for _ in range(_WEIGHINGS):
         rows = weighted_rows(model, reduction, sigma)
         Y = rows[:, :-1] @ K
         size = np.linalg.norm(Y, axis=0)
         size[size == 0] = 1.0
         z, rank = least_squares(Y / size, rows[:, -1], _RANK)
-        independent = sum(factor.independent for factor in reduction)
-        is_determined = independent >= 2 * rank
-        theta = K @ (z / size) if is_determined else np.zeros(len(K))
+        has_enough_samples = independent >= 2 * rank > 0
+        theta = K @ (z / size) if has_enough_samples else np.zeros(len(K))
         share = freedom_left(reduction, rank)
         joints = zip(reduction, model.active(), strict=True)
         sigma = np.array([residual_noise(factor, theta[columns], share) for factor, columns in joints])
-    return FreeFit(theta, sigma, is_determined)
+    return FreeFit(theta, sigma, has_enough_samples)
 
 
 def initial_row_noise(model: RobotModel, torque: Array) -> Array:
