@@ -74,6 +74,7 @@ def payload_found(folder: Path, log: Path) -> dict[str, Any]:
     return dict(step)
 
 
+@pytest.mark.slow
 def test_a_payload_is_weighed_on_the_link_that_carries_it(tmp_path: Path) -> None:
     """On the hand of an arm: with the model of the log's first half, in its second half."""
     whole = pin.buildModelFromUrdf(str(PANDA))

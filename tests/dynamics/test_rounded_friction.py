@@ -143,6 +143,7 @@ def test_friction_that_is_rounded_off_in_speed_is_no_disagreement(tmp_path: Path
     assert [note.split(":")[0] for note in sorted(notes)] == ["elbow", "shoulder"]
 
 
+@pytest.mark.slow
 def test_what_that_would_hide_is_found(tmp_path: Path) -> None:
     is_the_spring(diagnosed(tmp_path, STIFFNESS, ROUNDING))
 

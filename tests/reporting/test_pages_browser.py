@@ -18,7 +18,8 @@ from idtool.reporting.pages import diagnosis_page
 pytestmark = pytest.mark.skipif(DRIVER is None, reason="no chromedriver: install Debian's chromium-driver or Chrome's")
 
 EFFECTS = ("--effects", "parallel_spring")  # for the same page as with all others, since nothing is found
-PAGES = ("report.html", "validation.html", "diagnosis.html", "study.html")
+# Pages whose plots are made as those of the report.
+AS_THE_REPORT = [pytest.param(name, marks=pytest.mark.slow) for name in ("validation.html", "study.html")]
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize("name", ["report.html", "diagnosis.html", *AS_THE_REPORT])
 def test_every_plot_is_drawn(pages: Path, opened: Browser, name: str) -> None:
     """Colours have no part in the width: each of both is seen once."""
     for width, dark in ((1400, False), (400, True)):
@@ -100,7 +101,9 @@ def at_rest(opened: Browser) -> dict[str, Any]:
     return dict(now)
 
 
-@pytest.mark.parametrize("name", ["report.html", "validation.html", "diagnosis.html"])
+@pytest.mark.parametrize(
+    "name", ["report.html", pytest.param("diagnosis.html", marks=pytest.mark.slow), AS_THE_REPORT[0]]
+)
 def test_the_robot_moves_and_turns(pages: Path, opened: Browser, name: str) -> None:
     """The slider moves it, the mouse turns it, and it stays turned when it is moved again."""
     opened.use(pages / name, 1400, False, "[data-robot]")

@@ -58,6 +58,8 @@ class Blocks:
 
 def merge_reductions(reductions: Sequence[Reduction]) -> Reduction:
     """The reduction of all rows of several reductions, joint by joint."""
+    if len(reductions) == 1:
+        return reductions[0]
     return tuple(Factor.merged(factors) for factors in zip(*reductions, strict=True))
 
 

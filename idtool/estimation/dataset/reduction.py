@@ -40,8 +40,6 @@ class Factor:
     @classmethod
     def merged(cls, factors: Sequence[Factor]) -> Factor:
         """The factor of all factors' rows together."""
-        if len(factors) == 1:
-            return factors[0]
         R = _triangle(np.concatenate([factor.R for factor in factors]))
         return cls(R, sum(factor.rows for factor in factors), sum(factor.independent for factor in factors))
 
