@@ -138,7 +138,8 @@ def fit(
     clock = _Clock()
     experiment, delay, data = with_delay(experiment, progress)
     if experiment.equation.contacts is not None:
-        experiment, data = with_row_noise(experiment, progress), None
+        experiment = with_row_noise(experiment, progress)
+        data = None  # reduced with other noise
     experiment, data = with_sensor_drift(experiment, progress, data)
     if delay is None and analyze_uncertainty:
         delay = command_delay(experiment, progress)

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from prescribed_motions import silent
 from sensor_arm import COULOMB, JOINTS, LINKS, SENSOR, Push, urdf_text, wrench_channels, write_log
 
 import idtool
+from idtool.api.data import load_experiment
 from idtool.common.exceptions import ConfigError, LogError
+from idtool.estimation.fit import fit
+from idtool.estimation.identification import estimate_from_logs
+from idtool.estimation.row_correlation import with_row_correlation
+from idtool.estimation.row_noise import with_row_noise
 
 SIDEWAYS = (9.81 * 0.6, 0.0, -9.81 * 0.8)  # gravity of an arm that is mounted on a slope
 SECONDS = 10.0
@@ -100,6 +107,33 @@ def test_push_that_is_not_in_the_configuration_spoils_the_model(
     result, error = fit_and_test(model_of(folder), folder / f"{log}.csv", tmp_path)
     assert error > 30 * error_by_free_motion
     assert result.friction["lift"].coulomb < 0.5 * COULOMB
+
+
+def test_estimate_is_made_from_decorrelated_rows_and_errors_are_those_of_rows(folder: Path) -> None:
+    experiment = load_experiment(model_of(folder, UNKNOWN), [folder / "touched.csv"])
+    with_noise = with_row_noise(experiment, silent)
+    decorrelated = with_row_correlation(with_noise, silent)
+    expected = estimate_from_logs(decorrelated, "ls", silent).estimate.theta
+    of_independent_rows = estimate_from_logs(with_noise, "ls", silent).estimate.theta
+    assert np.abs(of_independent_rows - expected).max() > 1e-5
+
+    result = fit(experiment, silent)
+    np.testing.assert_allclose(result.estimate.theta, expected, atol=1e-8)
+    contacts = result.experiment.equation.contacts
+    assert contacts is not None
+    assert contacts.correlation is None
+
+
+def test_rows_of_which_the_sample_tells_nothing_keep_their_noise(folder: Path) -> None:
+    """As those of a joint that rests in it."""
+    experiment = load_experiment(model_of(folder, UNKNOWN), [folder / "touched.csv"])
+    (run,) = experiment.runs
+    too_short = replace(experiment, runs=(replace(run, train=(slice(0, 20),)),))
+    determined = with_row_noise(too_short, silent)
+    assert determined.equation.contacts is not None
+    assert experiment.equation.contacts is not None
+    np.testing.assert_array_equal(determined.equation.contacts.noise, experiment.equation.contacts.noise)
+    assert with_row_correlation(determined, silent) is determined
 
 
 def test_wrist_sensor_and_a_measured_push_tell_what_the_sensor_carries(folder: Path) -> None:
