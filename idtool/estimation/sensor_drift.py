@@ -17,17 +17,15 @@ from idtool.dynamics.effects import build_effects
 from idtool.dynamics.effects.wrench_sensor_offset import WrenchSensorOffset, drift_times
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
-from idtool.estimation.dataset.equality_constraints import equality_constraints
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, Progress
-from idtool.estimation.dataset.reduction import Reduction
-from idtool.estimation.dataset.weights import free_noise, weighted_rows
+from idtool.estimation.dataset.weights import free_fit
 from idtool.robot.config import WrenchSensor
 
 _BLOCK_SECONDS = 2.0  # of a mean; less where logs are short
 _BLOCKS = 10  # of a short log
 _MAX_P_VALUE = 1e-4  # of no drift, up to which one is tried
 _MAX_ERROR = 0.9  # of the squared error without drift, on blocks that were not fitted, up to which it stays
-_RANK = 1e-10  # of the largest singular value: what lies below is not determined
 
 
 def with_sensor_drift(
@@ -59,11 +57,11 @@ def with_sensor_drift(
         return experiment, data
 
     blocks = [_regrouped(log) for log in data]
-    without = _errors_on_other_half(experiment.equation, blocks, experiment.equalities.K)
+    without = _errors_on_other_half(experiment.equation, blocks, experiment.equalities)
     drifting = _with_drift(experiment, suspects)
     data_with_drift = _reduced(drifting, progress)
     blocks = [_regrouped(log) for log in data_with_drift]
-    with_drift = _errors_on_other_half(drifting.equation, blocks, drifting.equalities.K)
+    with_drift = _errors_on_other_half(drifting.equation, blocks, drifting.equalities)
     accepted = []
     for i in suspects:
         rows = experiment.model.sensor_coordinates(i)
@@ -104,7 +102,7 @@ def _suspects(experiment: Experiment, data: Sequence[Blocks], sensors: Sequence[
     """Sensors, by index, whose errors without drift follow one along a log."""
     equation, model = experiment.equation, experiment.model
     total = merge_reductions([log.total for log in data])
-    theta = _free_theta(equation, total, experiment.equalities.K)
+    theta = free_fit(equation, total, experiment.equalities).theta
     logs = [_regrouped(log) for log in data]
     active = equation.active()
     suspects = []
@@ -162,23 +160,14 @@ def _p_value(means: Array, seconds: float) -> float:
     return float(stats.f.sf(explained / unexplained, len(times), freedom)) if unexplained > 0 else 1.0
 
 
-def _free_theta(equation: LinearModel, data: Reduction, K: Array) -> Array:
-    """Coefficients by weighted least squares, without prior and constraints except that copies are equal, (p,)."""
-    rows = weighted_rows(equation, data, free_noise(equation, data))
-    Y = rows[:, :-1] @ K
-    size = np.linalg.norm(Y, axis=0)
-    size[size == 0] = 1.0
-    return np.asarray(K @ (np.linalg.lstsq(Y / size, rows[:, -1], rcond=_RANK)[0] / size))
-
-
-def _errors_on_other_half(equation: LinearModel, data: Sequence[Blocks], K: Array) -> Array:
+def _errors_on_other_half(equation: LinearModel, data: Sequence[Blocks], equalities: EqualityConstraints) -> Array:
     """Sum of squared errors of each row on every other block under a fit to the rest, and vice versa, shape (nv,)."""
     halves = []
     for first in (0, 1):
         halves.append(merge_reductions([part for log in data for part in log.parts[first::2]]))
     errors = np.zeros(len(equation.joints))
     for fitted, other in (halves, halves[::-1]):
-        theta = _free_theta(equation, fitted, K)
+        theta = free_fit(equation, fitted, equalities).theta
         for row, (factor, active) in enumerate(zip(other, equation.active(), strict=True)):
             errors[row] += factor.squared_error(theta[active])
     return errors
