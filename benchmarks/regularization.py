@@ -60,7 +60,7 @@ import idtool
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.data.logs import JointLog, read_log
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
-from idtool.estimation.dataset.experiment import Experiment, Rows, Run, prepare
+from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, Run, prepare
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.fit import fit
 from idtool.estimation.identification import estimate_from_logs
@@ -155,11 +155,11 @@ class ReducedExperiment(Experiment):
     @staticmethod
     def reduced_from(e: Experiment) -> ReducedExperiment:
         """Reduce the logs of an experiment."""
-        blocks = e.blocks(lambda run: e.rows(run, silent))
+        blocks = e.blocks(e.rows, silent)
         validation = tuple(held_out(replace(e, runs=(run,)), silent) for run in e.runs if run.held_out)
         return ReducedExperiment(e.config, e.model, e.equation, e.equalities, e.runs, blocks, validation)
 
-    def blocks(self, rows: Callable[[Run], Rows]) -> tuple[Blocks, ...]:
+    def blocks(self, rows: Callable[[Run], Rows], progress: Progress, stage: str = "reading") -> tuple[Blocks, ...]:
         """The training data."""
         return self.training
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.outputs import write_all
-from idtool.estimation.evaluation.envelope import Envelope, Trace
+from idtool.estimation.dataset.envelope import Envelope, Trace
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.fit import Fit
 from idtool.reporting.rerun_recording import log_recording, rerun_recording

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from idtool.common.outputs import write_all
 
 if TYPE_CHECKING:
-    from idtool.estimation.evaluation.envelope import Trace
+    from idtool.estimation.dataset.envelope import Trace
     from idtool.reporting.results.base import NoticeReport
     from idtool.robot.model import RobotModel
 

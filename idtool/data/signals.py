@@ -10,7 +10,7 @@ Shapes: nv joints, N samples at the logged rate, n samples after decimation. Uni
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import BaseSensors
+from idtool.data.batches import Batches, BatchSpan
 from idtool.data.channels import Channels
 from idtool.data.column_cache import KeptColumns
 from idtool.data.contact_channels import ContactChannels, ContactSamples
@@ -180,6 +181,8 @@ class Signals:
         Contacts; None: the base is fixed, and there are none.
     recording
         Name of the log that no other log of an experiment has; empty: its file name.
+    batch_samples
+        Number of samples in a batch, but for a long filter; None: the usual one.
 
     Raises
     ------
@@ -198,8 +201,10 @@ class Signals:
         wrench_channels: WrenchChannels | None = None,
         contact_channels: ContactChannels | None = None,
         recording: str = "",
+        batch_samples: int | None = None,
     ) -> None:
         self.log = log
+        self.batch_samples = batch_samples or BATCH_SAMPLES
         self.recording = recording or log.path.name
         self.base_sensors = base_sensors
         self.wrench_channels = wrench_channels
@@ -326,7 +331,7 @@ class Signals:
 
     def batches(
         self, ranges: Sequence[slice] | None = None, every_sample: bool = False, delays: Sequence[float] = ()
-    ) -> Iterator[Batch]:
+    ) -> Batches[Batch]:
         """The log in batches of bounded size.
 
         Parameters
@@ -339,17 +344,39 @@ class Signals:
             Further delays of the commands for which the motion has the torque too [s]; see `delayed_ranges`.
         """
         low_pass = self.full_rate_low_pass if every_sample else self.low_pass
-        size = max(BATCH_SAMPLES, 8 * low_pass.reach)
-        size += -size % low_pass.block
+        spans = self._spans(self.ranges if ranges is None else ranges, low_pass)
         _keep_freed_memory()
-        for samples in self.ranges if ranges is None else ranges:
+        return Batches(spans, lambda span: self.batch(span, low_pass, delays))
+
+    def _spans(self, ranges: Sequence[slice], low_pass: LowPass) -> list[BatchSpan]:
+        """Batches of parts of the log."""
+        size = max(self.batch_samples, 8 * low_pass.reach)
+        size += -size % low_pass.block
+        spans = []
+        for samples in ranges:
             last = samples.stop - low_pass.edge
             for start in range(samples.start + low_pass.edge, last, size):
                 stop = min(start + size, last)
                 before = min(low_pass.reach, start - samples.start)
                 after = min(low_pass.reach, samples.stop - stop)
-                motion = self.motion(slice(start - before, stop + after), delays)
-                yield Batch(motion, before, after, low_pass)
+                rows = -(-(stop - start) // low_pass.stride)
+                spans.append(BatchSpan(start, stop, before, after, rows))
+        return spans
+
+    def batch(self, span: BatchSpan, low_pass: LowPass, delays: Sequence[float] = ()) -> Batch:
+        """One batch of the log.
+
+        Parameters
+        ----------
+        span
+            Its samples.
+        low_pass
+            Its filter, whose number of rows the span has.
+        delays
+            As in `batches`.
+        """
+        motion = self.motion(slice(span.start - span.before, span.stop + span.after), delays)
+        return Batch(motion, span.before, span.after, low_pass)
 
     def velocity(self, part: slice) -> Array:
         """Velocities at samples of the log, shape (nv, N); NaN where derivatives would reach across an end or gap."""

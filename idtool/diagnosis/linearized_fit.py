@@ -14,7 +14,7 @@ Letters: p coefficients theta; r directions y; F blocks of time; k columns of a 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,8 +28,9 @@ from idtool.diagnosis.noise_gain import noise_gain_of
 from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_types
 from idtool.dynamics.effects.torque_sensor import TorqueSensorEffect
 from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.blocks import Blocks, cut_into_blocks, merge_reductions
-from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, tracked
+from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import free_noise, weighted_rows
 from idtool.estimation.identification import choose_sets
@@ -377,7 +378,7 @@ def _read_blocks(
     squares = np.zeros(nv)
     share_sum = np.zeros(nv)
 
-    def filtered_rows(batches: Iterable[Batch]) -> Rows:
+    def filtered_rows(batches: Iterable[Batch]) -> Iterator[tuple[list[Array], Shares]]:
         for batch in batches:
             masks = row_equation.clean_samples(batch, reversal_margin)
             own_masks = masks if equation is row_equation else equation.clean_samples(batch, reversal_margin)
@@ -398,7 +399,7 @@ def _read_blocks(
         low_pass = run.signals.low_pass
         log = run.signals.log
         batches = tracked(experiment.batches(run, held_out=False), run.train, progress, f"reading {log.path.name}")
-        parts = tuple(cut_into_blocks(filtered_rows(batches), length, low_pass.redundancy))
+        parts = tuple(block for _, block in cut_into_blocks(filtered_rows(batches), length, low_pass.redundancy))
         if parts:
             logs.append(Blocks(log.path.name, parts, length * low_pass.stride * log.dt))
     for name, defined, total in zip(equation.joints, defined_count, row_count, strict=True):

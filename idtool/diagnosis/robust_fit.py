@@ -105,7 +105,7 @@ def _accumulate(experiment: Experiment, theta: Array, progress: Progress) -> lis
         signals = run.signals
         batches = tracked(signals.batches(), signals.ranges, progress, "looking for contacts")
         samples = map(experiment.equation.counted_rows, batches)
-        for block in cut_into_blocks(samples, length, signals.low_pass.redundancy):
+        for _, block in cut_into_blocks(samples, length, signals.low_pass.redundancy):
             for blocks, columns, factor in zip(by_joint, active, block, strict=True):
                 Y = factor.R[:, :-1]
                 e = factor.R[:, -1] - Y @ theta[columns]

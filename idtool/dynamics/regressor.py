@@ -116,6 +116,11 @@ class LinearModel:
         """True if columns depend on the coefficients."""
         return any(type(effect).set_operating_point is not Effect.set_operating_point for effect in self.effects)
 
+    @property
+    def has_sensors(self) -> bool:
+        """True if an effect acts between the true and the measured torque."""
+        return any(type(effect).apply_sensor is not Effect.apply_sensor for effect in self.effects)
+
     def linearized_at(self, theta: Array) -> LinearModel:
         """The model with its columns at other coefficients, shape (p,)."""
         operating_point = {c.key: float(x) for c, x in zip(self.coefficients, theta, strict=True)}

@@ -21,17 +21,17 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebval, chebvander
 from scipy.optimize import minimize_scalar, nnls
 
-from idtool.common.arrays import Array, Indices
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import least_squares, svd
 from idtool.common.notice import Notice
 from idtool.data.controller import MAX_DELAY
-from idtool.data.signals import Signals
+from idtool.data.signals import Batch, Signals
 from idtool.dynamics.effects import friction_types
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
-from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, Run, tracked
+from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, Run
 from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.estimation.dataset.weights import free_noise, freedom_left
 from idtool.estimation.uncertainty.cluster_robust import FEWEST_CLUSTERS
@@ -185,7 +185,7 @@ def _with_known_delay(run: Run, config: Config, delay: float) -> Run:
     held_out = tuple(run.signals.delayed_ranges(delay, run.held_out))
     before = run.signals
     sensors = (before.base_sensors, before.wrench_channels, before.contact_channels)
-    signals = Signals(before.log, before.joints, config, *sensors, before.recording)
+    signals = Signals(before.log, before.joints, config, *sensors, before.recording, before.batch_samples)
     return Run(signals, train, held_out)
 
 
@@ -219,7 +219,7 @@ def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay
         return None
     equation, equalities, given = experiment.equation, experiment.equalities, controller.known_delay
     lags = _Lags(experiment.band_hz)
-    data = experiment.blocks(lambda run: _rows(equation, run, lags, progress))
+    data = experiment.blocks(lambda run: _rows(equation, run, lags), progress, "fitting the delay to")
     total = merge_reductions([log.total for log in data])
     value = 0.0
     for _ in range(_WEIGHINGS):
@@ -248,14 +248,16 @@ def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay
     return fitted, data, lags
 
 
-def _rows(equation: LinearModel, run: Run, lags: _Lags, progress: Progress) -> Rows:
+def _rows(equation: LinearModel, run: Run, lags: _Lags) -> Rows:
     """Columns of the torque equation and then the torque at each of the delays, batch after batch."""
     parts = run.signals.delayed_ranges(MAX_DELAY, run.train)
-    batches = run.signals.batches(parts, delays=lags.delays)
-    for batch in tracked(batches, parts, progress, f"fitting the delay to {run.signals.log.path.name}"):
+
+    def rows_of(batch: Batch) -> tuple[list[Array], list[Mask]]:
         columns, kept = equation.filtered_rows(batch)
         torques = batch.filter(equation.delayed_torques(batch.motion))
-        yield [np.concatenate([own[:-1], torques[:, j]]) for j, own in enumerate(columns)], kept
+        return [np.concatenate([own[:-1], torques[:, j]]) for j, own in enumerate(columns)], kept
+
+    return run.signals.batches(parts, delays=lags.delays).map(rows_of)
 
 
 class _Lags:

@@ -10,6 +10,8 @@ from idtool.common.notice import Notice
 from idtool.dynamics.effects import ParameterValue, effect_from_entry
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
 from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.dataset.reduced_logs import ReducedLog, is_reducible, reduce_logs, training_blocks
+from idtool.estimation.evaluation.reduced_errors import evaluate_reduced
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
 from idtool.estimation.evaluation.torque_errors import Evaluation, evaluate
 from idtool.estimation.fit_notices import fit_notices
@@ -145,6 +147,12 @@ def fit(
         delay = command_delay(experiment, progress)
     clock.stop("delay")
 
+    reduced: tuple[ReducedLog, ...] | None = None
+    if is_reducible(experiment):
+        reduced = reduce_logs(experiment, progress)
+        data = data or training_blocks(experiment, reduced)
+    clock.stop("reduce")
+
     decorrelated = with_row_correlation(experiment, progress)  # for the estimate only: errors are told row by row
     if decorrelated is not experiment:
         data = None
@@ -164,8 +172,12 @@ def fit(
     clock.stop("identify")
 
     models = {"identified": estimate.theta, "prior": experiment.equation.prior}
-    train = evaluate(experiment, models, held_out=False, progress=progress, angles=True)
-    validation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
+    if reduced is not None:
+        train = evaluate_reduced(experiment.equation, reduced, models, held_out=False)
+        validation = evaluate_reduced(experiment.equation, reduced, models, held_out=True)
+    else:
+        train = evaluate(experiment, models, held_out=False, progress=progress, angles=True)
+        validation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
     held_out = validation.errors["identified"].samples > 0
     if not held_out:
         message = "no data were held out: the training error says little about prediction"
@@ -178,7 +190,7 @@ def fit(
     if delay and delay.error:
         delay_error = delay.slope * delay.error
     analysis = uncertainty_analysis(
-        experiment, identification, train.independent_samples, progress, analyze_uncertainty, delay_error
+        experiment, identification, train.independent_samples, progress, analyze_uncertainty, delay_error, reduced
     )
     notices += analysis.notices
     notices += offset_notices(experiment, estimate.theta, analysis.uncertainty)

@@ -9,7 +9,7 @@ along the instruments' motion and the measured one, tau_j (n,) torque, all throu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,10 +18,12 @@ from scipy import signal
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ModelError
+from idtool.data.batches import BatchSpan
 from idtool.data.logs import JointLog
-from idtool.data.signals import Signals
+from idtool.data.signals import Batch, Signals
 from idtool.dynamics.simulation.simulation import simulate
-from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
+from idtool.estimation.dataset.blocks import Blocks
+from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, Run
 from idtool.estimation.evaluation.simulated_log import under_controller
 
 Kind = Literal["closed_loop", "smoothed"]
@@ -96,15 +98,13 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
         cutoff = np.array([smoothing(q, signals.log.dt, signals.band_hz) for q in motion])
         log = _smoothed_log(signals, cutoff)
     config = experiment.config.model_copy(update={"velocity": "differentiated"})  # without noise as good as measured
-    instrument_signals = Signals(log, signals.joints, config)
+    instrument_signals = Signals(log, signals.joints, config, batch_samples=signals.batch_samples)
     # Where Z's sign must not be trusted is where Y's is lost in noise.
     instrument_signals.velocity_deadband = signals.velocity_deadband
     return Instruments(run, instrument_signals, kind, cutoff)
 
 
-def instrumented_rows(
-    experiment: Experiment, made: Instruments, progress: Progress
-) -> Iterator[tuple[list[Array], list[Mask]]]:
+def instrumented_rows(experiment: Experiment, made: Instruments) -> Rows:
     """Rows of a log's training part beside those of its instruments, batch after batch.
 
     Parameters
@@ -113,20 +113,32 @@ def instrumented_rows(
         Model and data.
     made
         The instruments of one of its logs.
-    progress
-        Callback for the stage and its progress, from 0 to 1.
 
-    Yields
-    ------
+    Returns
+    -------
     Per joint the columns of Z_j, of Y_j, and the torque, shape (2 m_j + 1, n); and which of the n samples count, shape
     (n,): those in which the columns of Z_j are defined. To choose by those of Y_j would be to choose by the noise.
     """
     run, equation = made.run, experiment.equation
-    batches = tracked(run.signals.batches(run.train), run.train, progress, f"reading {run.signals.log.path.name}")
-    for batch, instrument_batch in zip(batches, made.signals.batches(run.train), strict=True):
+
+    def stacked_rows(batch: Batch, span: BatchSpan) -> tuple[list[Array], list[Mask]]:
         Y, _ = equation.filtered_rows(batch)
-        Z, defined = equation.filtered_rows(instrument_batch)
-        yield [np.concatenate([z[:-1], y]) for z, y in zip(Z, Y, strict=True)], defined
+        Z, defined = equation.filtered_rows(made.signals.batch(span, made.signals.low_pass))
+        return [np.concatenate([z[:-1], y]) for z, y in zip(Z, Y, strict=True)], defined
+
+    return run.signals.batches(run.train).map_with_span(stacked_rows)
+
+
+def instrumented_blocks(experiment: Experiment, made: Sequence[Instruments], progress: Progress) -> tuple[Blocks, ...]:
+    """The training data as R-factors of [Z_j, Y_j, tau_j] of consecutive blocks, log by log.
+
+    Raises
+    ------
+    LogError
+        If a joint has no sample that counts.
+    """
+    of_run = {id(each.run): each for each in made}
+    return experiment.blocks(lambda run: instrumented_rows(experiment, of_run[id(run)]), progress)
 
 
 def smoothing(q: Array, dt: float, band_hz: float) -> float:

@@ -78,7 +78,7 @@ def with_sensor_drift(
 
 def _reduced(experiment: Experiment, progress: Progress) -> tuple[Blocks, ...]:
     """The training data as R-factors."""
-    return experiment.blocks(lambda run: experiment.rows(run, progress))
+    return experiment.blocks(experiment.rows, progress)
 
 
 def _with_drift(experiment: Experiment, indices: Collection[int]) -> Experiment:

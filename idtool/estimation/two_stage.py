@@ -16,7 +16,7 @@ motions as in `instruments`; sigma_j noise of a joint's torque [N·m or N].
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,10 +26,11 @@ from idtool.common.linear_algebra import svd
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.blocks import merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress
-from idtool.estimation.dataset.reduction import Factor, Reduction, reduce_blocks
+from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.estimation.dataset.weights import residual_noise
-from idtool.estimation.instruments import Instruments, Kind, instrumented_rows, instruments
+from idtool.estimation.instruments import Instruments, Kind, instrumented_blocks, instruments
 from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import build_problem
 from idtool.robot.sets import ConstraintSet
@@ -149,17 +150,7 @@ def stack(experiment: Experiment, made: Sequence[Instruments], progress: Progres
     LogError
         If a joint has no sample that counts.
     """
-    total = tuple(Factor(np.zeros((0, 2 * len(active) + 1)), 0, 0.0) for active in experiment.equation.active())
-    for each in made:
-        blocks = _counting_rows(experiment, each, progress)
-        total = reduce_blocks(blocks, total, each.run.signals.low_pass.redundancy)
-    return experiment.checked(total)
-
-
-def _counting_rows(experiment: Experiment, made: Instruments, progress: Progress) -> Iterator[list[Array]]:
-    """Rows of [Z_j, Y_j, tau_j], without those that don't count."""
-    for blocks, counts in instrumented_rows(experiment, made, progress):
-        yield [block[:, count] for block, count in zip(blocks, counts, strict=True)]
+    return merge_reductions([log.total for log in instrumented_blocks(experiment, made, progress)])
 
 
 def unprojected(stacked: Reduction) -> Reduction:

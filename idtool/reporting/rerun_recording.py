@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
-from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.dataset.envelope import Trace
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.urdf.reading import Robot
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
-from idtool.estimation.dataset.reduction import Factor, Reduction
+from idtool.estimation.dataset.reduction import Factor, Reduction, merge
 
 Array = NDArray[np.float64]
 Batches = list[tuple[list[Array], list[NDArray[np.bool_]]]]
@@ -59,12 +59,27 @@ streams = st.builds(Stream, st.integers(1, 90), st.integers(0, 2**32 - 1), st.sa
 @given(streams, st.integers(1, 40), st.lists(st.integers(0, 100), max_size=6))
 def test_a_block_holds_its_rows_wherever_batches_end(stream: Stream, length: int, ends: list[int]) -> None:
     """Empty batches, batches of many blocks and blocks of many batches; the last block is shorter."""
-    blocks = list(cut_into_blocks(stream.batches(ends), length, 2.5))
-    assert len(blocks) == -(-stream.rows // length)
+    numbers, blocks = zip(*cut_into_blocks(stream.batches(ends), length, 2.5), strict=True)
+    assert numbers == tuple(range(-(-stream.rows // length)))
     for i, block in enumerate(blocks):
         assert_same(block, stream, i * length, min((i + 1) * length, stream.rows), 2.5)
     assert_same(merge_reductions(blocks), stream, 0, stream.rows, 2.5)
     assert_same(Blocks("log", tuple(blocks), 1.0).total, stream, 0, stream.rows, 2.5)
+
+
+@given(streams, st.integers(1, 40), st.lists(st.integers(0, 100), max_size=6), st.integers(0, 100))
+def test_parts_of_a_stream_give_parts_of_its_blocks(stream: Stream, length: int, ends: list[int], cut: int) -> None:
+    """A block that lies across two parts is the two parts' together."""
+    batches = stream.batches(ends)
+    first, second = batches[: cut % len(batches)], batches[cut % len(batches) :]
+    rows_before = sum(columns[0].shape[1] for columns, _ in first)
+    parts = [*cut_into_blocks(first, length, 2.5), *cut_into_blocks(second, length, 2.5, rows_before)]
+    blocks: dict[int, Reduction] = {}
+    for number, part in parts:
+        blocks[number] = merge(blocks[number], part) if number in blocks else part
+    assert list(blocks) == list(range(-(-stream.rows // length)))
+    for number, block in blocks.items():
+        assert_same(block, stream, number * length, min((number + 1) * length, stream.rows), 2.5)
 
 
 def test_nothing_gives_no_block() -> None:
@@ -137,6 +152,6 @@ def test_blocks_in_memory_are_bounded(sizes: list[int]) -> None:
 
 def test_a_block_takes_no_more_memory_than_it_is_counted_for() -> None:
     stream = Stream(4000, 5, kept=1.0)
-    blocks = list(cut_into_blocks(stream.batches([7, 1900]), 500, 1.0))
-    bytes_held = [sum(factor.R.nbytes for factor in block) for block in blocks]
+    blocks = cut_into_blocks(stream.batches([7, 1900]), 500, 1.0)
+    bytes_held = [sum(factor.R.nbytes for factor in block) for _, block in blocks]
     assert max(bytes_held) <= 8 * sum(width**2 for width in WIDTHS)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.dataset.envelope import Trace
 from idtool.estimation.evaluation.torque_errors import Errors, Evaluation
 from idtool.robot.inertia import from_mass_com_inertia
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.dataset.envelope import Trace
 from idtool.estimation.evaluation.rollouts import HORIZONS, RolloutError, RolloutEvaluation
 
 Array = NDArray[np.float64]

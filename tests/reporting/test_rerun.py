@@ -11,7 +11,7 @@ import pytest
 from commands import LEG, VALIDATE_CSV, idtool
 from numpy.typing import NDArray
 
-from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.dataset.envelope import Trace
 from idtool.reporting.rerun_recording import LogRecording, log_recording, rerun_recording
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.urdf.reading import read_robot

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
+from idtool.data.batches import Batches, BatchSpan
 from idtool.data.column_cache import ColumnCache, KeptColumns
 from idtool.data.signals import Batch, Signals
 
@@ -24,12 +25,12 @@ class BatchCache:
     def __init__(self, max_bytes: int = _MAX_BYTES) -> None:
         self._free_bytes = max_bytes
         self._columns = ColumnCache()
-        self._batches: dict[tuple[int, tuple[tuple[int, int], ...]], list[Batch]] = {}
+        self._batches: dict[tuple[int, tuple[tuple[int, int], ...]], dict[BatchSpan, Batch]] = {}
         self._signals: list[Signals] = []  # kept alive, so that no other log has the same id
         self._batch_count = 0
 
-    def batches(self, signals: Signals, ranges: Sequence[slice]) -> Iterator[Batch]:
-        """Batches of a log as `Signals.batches` yields them, the same objects every time if there is memory for them.
+    def batches(self, signals: Signals, ranges: Sequence[slice]) -> Batches[Batch]:
+        """Batches of a log as `Signals.batches` has them, the same objects every time if there is memory for them.
 
         Parameters
         ----------
@@ -38,22 +39,28 @@ class BatchCache:
         ranges
             Parts of its `ranges`.
         """
+        batches = signals.batches(ranges)
         key = (id(signals), tuple((part.start, part.stop) for part in ranges))
-        if key in self._batches:
-            yield from self._batches[key]
-            return
-        samples = sum(part.stop - part.start for part in ranges)
-        size = 8 * _NUMBERS_PER_SAMPLE * samples * len(signals.joints)
-        if size > self._free_bytes:
-            yield from signals.batches(ranges)
-            return
-        kept = []
-        for batch in signals.batches(ranges):
-            motion = batch.motion
-            columns = KeptColumns(self._columns, self._batch_count, motion.q, motion.v, motion.a)
-            self._batch_count += 1
-            kept.append(replace(batch, motion=replace(motion, kept_columns=columns)))
-            yield kept[-1]
-        self._batches[key] = kept
-        self._signals.append(signals)
-        self._free_bytes -= size
+        if key not in self._batches:
+            samples = sum(part.stop - part.start for part in ranges)
+            size = 8 * _NUMBERS_PER_SAMPLE * samples * len(signals.joints)
+            if size > self._free_bytes:
+                return batches
+            self._batches[key] = {}
+            self._signals.append(signals)
+            self._free_bytes -= size
+        kept = self._batches[key]
+
+        def kept_batch(span: BatchSpan) -> Batch:
+            if span not in kept:
+                kept[span] = self._with_columns(signals.batch(span, signals.low_pass))
+            return kept[span]
+
+        return Batches(batches.spans, kept_batch)
+
+    def _with_columns(self, batch: Batch) -> Batch:
+        """A batch along which columns are kept."""
+        motion = batch.motion
+        columns = KeptColumns(self._columns, self._batch_count, motion.q, motion.v, motion.a)
+        self._batch_count += 1
+        return replace(batch, motion=replace(motion, kept_columns=columns))

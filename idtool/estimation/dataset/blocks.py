@@ -86,8 +86,10 @@ def block_rows(rows: int, seconds: float, band_hz: float, most: int) -> int:
     return max(int(np.ceil(_PERIODS / band_hz / seconds)), -(-rows // most))
 
 
-def cut_into_blocks(rows: Iterable[tuple[list[Array], Shares]], length: int, redundancy: float) -> Iterator[Reduction]:
-    """Reductions of blocks of ``length`` rows each from a stream of rows.
+def cut_into_blocks(
+    rows: Iterable[tuple[list[Array], Shares]], length: int, redundancy: float, first_row: int = 0
+) -> Iterator[tuple[int, Reduction]]:
+    """Reductions of blocks of ``length`` rows each from a stream of rows, with their numbers.
 
     Parameters
     ----------
@@ -97,21 +99,23 @@ def cut_into_blocks(rows: Iterable[tuple[list[Array], Shares]], length: int, red
         Rows in a block, including those that don't count.
     redundancy
         See `Factor.from_columns`.
+    first_row
+        Number of rows before those of the stream; the first block is then cut off at its beginning.
     """
     block: Reduction | None = None
-    filled = 0
+    row = first_row
     for columns, shares in rows:
         first, count = 0, columns[0].shape[1]
         while first < count:
+            number, filled = divmod(row, length)
             part = slice(first, min(first + length - filled, count))
             pairs = zip(columns, shares, strict=True)
             new = tuple(Factor.from_shares(x[:, part], share[part].astype(float), redundancy) for x, share in pairs)
             block = new if block is None else merge(block, new)
-            filled += part.stop - first
+            row += part.stop - part.start
             first = part.stop
-            if filled == length:
-                yield block
+            if row % length == 0:
+                yield number, block
                 block = None
-                filled = 0
     if block is not None:
-        yield block
+        yield row // length, block

@@ -14,6 +14,7 @@ from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
 from idtool.data.base_sensors import POSE, BaseSensors, needed_channels, sensor_options
+from idtool.data.batches import Batches
 from idtool.data.contact_channels import ContactChannels
 from idtool.data.controller import with_unknown_torque, without_constant_torque
 from idtool.data.inspection.imu_findings import dead_imu_sensors, imu_findings
@@ -36,7 +37,8 @@ from idtool.estimation.dataset.equality_constraints import EqualityConstraints, 
 from idtool.estimation.dataset.imu_delay import with_imu_delay
 from idtool.estimation.dataset.joint_limits import beyond_limits_notice, position_ranges
 from idtool.estimation.dataset.kinematic_checks import kinematic_notices
-from idtool.estimation.dataset.reduction import Reduction, empty
+from idtool.estimation.dataset.passes import LogPart, read_through
+from idtool.estimation.dataset.reduction import Reduction, empty, merge
 from idtool.estimation.dataset.weights import initial_row_noise
 from idtool.estimation.dataset.wrench_sensor_sign import sign_notices
 from idtool.robot.bounding import hull_sources
@@ -45,7 +47,7 @@ from idtool.robot.model import RobotModel, build_model, check_wrench_sensors
 from idtool.robot.urdf.reading import Robot
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
-Rows = Iterable[tuple[list[Array], Shares]]
+Rows = Batches[tuple[list[Array], Shares]]
 
 NOT_SIMULATED = ("floating_base_not_simulated", "contacts_not_simulated")  # notices for evaluations of models
 _LARGEST = 1e12  # of a signal in SI: powers of what is larger are not finite
@@ -195,7 +197,7 @@ class Experiment:
         """True for a robot without a floating base, wrench sensors and contacts."""
         return self.equation.contacts is None and self.model.joint_count == len(self.model.joints)
 
-    def batches(self, run: Run, held_out: bool) -> Iterator[Batch]:
+    def batches(self, run: Run, held_out: bool) -> Batches[Batch]:
         """Batches of a log's part for validation, or for fitting."""
         parts = run.parts(held_out)
         return run.signals.batches(parts) if self.cache is None else self.cache.batches(run.signals, parts)
@@ -208,45 +210,60 @@ class Experiment:
             for part in run.parts(held_out)
         )
 
-    def rows(self, run: Run, progress: Progress) -> Rows:
+    def rows(self, run: Run) -> Rows:
         """The torque equation's rows along the training part of a log, batch after batch."""
-        stage = f"reading {run.signals.log.path.name}"
-        return map(self.equation.counted_rows, tracked(self.batches(run, False), run.train, progress, stage))
+        return self.batches(run, False).map(self.equation.counted_rows)
 
-    def blocks(self, rows: Callable[[Run], Rows]) -> tuple[Blocks, ...]:
+    def blocks(self, rows: Callable[[Run], Rows], progress: Progress, stage: str = "reading") -> tuple[Blocks, ...]:
         """The training data as R-factors of consecutive blocks, log by log.
 
         Parameters
         ----------
         rows
             Those of a log: per joint columns and torque, shape (columns + 1, n), and which of the n samples count.
+        progress
+            Callback for the stage and its progress, from 0 to 1.
+        stage
+            What is done to the logs; their names follow.
 
         Raises
         ------
         LogError
             If a joint has no sample that counts.
         """
-        blocks = self._unchecked_blocks(rows)
-        if not blocks:
-            self.checked(empty(self.equation.active()))
-        self.checked(merge_reductions([log.total for log in blocks]))
-        return blocks
+        return self.checked_blocks(self._unchecked_blocks(rows, progress, stage))
 
-    def _unchecked_blocks(self, rows: Callable[[Run], Rows]) -> tuple[Blocks, ...]:
-        """`blocks`, whose joints may have no sample that counts; none if the logs are too short."""
-        blocks = []
-        length = self._block_rows()
-        for run in self.runs:
-            if not run.train:
-                continue
-            low_pass = run.signals.low_pass
-            parts = tuple(cut_into_blocks(rows(run), length, low_pass.redundancy))
-            if parts:
-                seconds = length * low_pass.stride * run.signals.log.dt
-                blocks.append(Blocks(run.signals.log.path.name, parts, seconds))
+    def checked_blocks(self, blocks: Sequence[Blocks]) -> tuple[Blocks, ...]:
+        """The training data in blocks, checked to have samples for every joint; LogError as `blocks`."""
+        total = merge_reductions([log.total for log in blocks]) if blocks else empty(self.equation.active())
+        self.checked(total)
         return tuple(blocks)
 
-    def _block_rows(self) -> int:
+    def _unchecked_blocks(
+        self, rows: Callable[[Run], Rows], progress: Progress, stage: str = "reading"
+    ) -> tuple[Blocks, ...]:
+        """`blocks`, whose joints may have no sample that counts; none if the logs are too short."""
+        runs = [run for run in self.runs if run.train]
+        length = self.block_rows()
+
+        def cut(part: LogPart[tuple[list[Array], Shares]]) -> list[tuple[int, Reduction]]:
+            redundancy = runs[part.log].signals.low_pass.redundancy
+            return list(cut_into_blocks(part.batches, length, redundancy, part.first_row))
+
+        parts: list[dict[int, Reduction]] = [{} for _ in runs]
+        stages = [f"{stage} {run.signals.log.path.name}" for run in runs]
+        most_processes = None if self.cache is None else 1  # copies of this process would fill a cache of their own
+        for log, numbered in read_through([rows(run) for run in runs], cut, stages, progress, most_processes):
+            for number, block in numbered:
+                parts[log][number] = merge(parts[log][number], block) if number in parts[log] else block
+        blocks = []
+        for run, of_log in zip(runs, parts, strict=True):
+            if of_log:
+                seconds = length * run.signals.low_pass.stride * run.signals.log.dt
+                blocks.append(Blocks(run.signals.log.path.name, tuple(of_log.values()), seconds))
+        return tuple(blocks)
+
+    def block_rows(self) -> int:
         """Number of rows in a block, the same for all logs."""
         rows = [(part.stop - part.start) // run.signals.low_pass.stride for run in self.runs for part in run.train]
         signals = self.runs[0].signals
@@ -255,11 +272,11 @@ class Experiment:
 
     def reduce(self, progress: Progress) -> Reduction:
         """The training data as R-factors; see `checked`."""
-        return merge_reductions([log.total for log in self.blocks(lambda run: self.rows(run, progress))])
+        return merge_reductions([log.total for log in self.blocks(self.rows, progress)])
 
     def reduce_unchecked(self, progress: Progress) -> Reduction:
         """The training data as R-factors, of which some joints may have no rows."""
-        blocks = self._unchecked_blocks(lambda run: self.rows(run, progress))
+        blocks = self._unchecked_blocks(self.rows, progress)
         return merge_reductions([empty(self.equation.active()), *(log.total for log in blocks)])
 
     def checked(self, data: Reduction) -> Reduction:

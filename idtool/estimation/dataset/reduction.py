@@ -64,6 +64,10 @@ class Factor:
         explained = eliminated @ np.linalg.lstsq(eliminated, others, rcond=None)[0]
         return Factor(_triangle(others - explained), self.rows, self.independent)
 
+    def without_last_column(self) -> Factor:
+        """The factor of the same rows without what is last in them."""
+        return Factor(_triangle(self.R[:, :-1]), self.rows, self.independent)
+
     def squared_error(self, theta: Array) -> float:
         """Sum of squared residuals ‖Y_j theta − tau_j‖² for the joint's m_j coefficients [(N·m)²]."""
         return float(np.square(self.R @ np.append(theta, -1.0)).sum())

@@ -22,8 +22,8 @@ from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.simulation import simulate
 from idtool.dynamics.simulation.windows import measured_states, split_into_windows, stretches_without_contact
+from idtool.estimation.dataset.envelope import Envelope, Trace
 from idtool.estimation.dataset.experiment import Experiment, Progress
-from idtool.estimation.evaluation.envelope import Envelope, Trace
 
 HORIZONS = (0.01, 0.05, 0.1, 0.5)  # s
 _LONGEST = 120.0  # s of open-loop motion that are simulated; of a longer log, windows spread over it

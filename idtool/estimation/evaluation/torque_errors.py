@@ -14,8 +14,8 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.dataset.envelope import Envelope, Trace
 from idtool.estimation.dataset.experiment import Experiment, Progress, Run, tracked
-from idtool.estimation.evaluation.envelope import Envelope, Trace
 from idtool.estimation.evaluation.held_out_offsets import models_in_log
 from idtool.estimation.evaluation.spectrum import Correlations
 
@@ -33,7 +33,8 @@ class Errors:
     sum_squares_in_band, sum_squares_as_logged
         Sums of squared errors, shape (nv,) [(N·m)² or N²].
     sum_squares_by_second
-        Sum over all joints of the squared errors in the band within each second of samples, log by log, shape (s,).
+        Sum over all joints of the squared errors in the band within each second of samples, log by log, shape (s,);
+        none from reduced logs.
     """
 
     samples: int
@@ -165,16 +166,28 @@ def evaluate(
         known_samples += is_known * samples_of_log
         traces.append(envelope.trace(log.path.name))
         second += _seconds(run, held_out)
-    mean, square = torque_sums / np.maximum(known_samples, 1)
-    torque_std = np.sqrt(np.maximum(square - mean**2, 0))
     independent = correlations.independent(stride)
     return Evaluation(
         errors,
-        dict(zip(joints, torque_std.tolist(), strict=True)),
+        dict(zip(joints, torque_deviation(torque_sums, known_samples).tolist(), strict=True)),
         tuple(traces),
         dict(zip(joints, independent.tolist(), strict=False)),
         sensor_offsets,
     )
+
+
+def torque_deviation(sums: Array, samples: Array) -> Array:
+    """Standard deviation of the measured torque, shape (nv,) [N·m or N].
+
+    Parameters
+    ----------
+    sums
+        Sums of it and of its square, shape (2, nv).
+    samples
+        Number of samples of each joint, shape (nv,).
+    """
+    mean, square = sums / np.maximum(samples, 1)
+    return np.asarray(np.sqrt(np.maximum(square - mean**2, 0)))
 
 
 def _posture_curves(motion: Motion, inner: slice) -> dict[str, Array]:

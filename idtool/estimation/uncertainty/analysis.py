@@ -13,6 +13,7 @@ from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.dataset.reduced_logs import ReducedLog
 from idtool.estimation.identification import Identification
 from idtool.estimation.uncertainty.bias import BiasCheck, bias_check, paired_estimates
 from idtool.estimation.uncertainty.cluster_robust import (
@@ -21,7 +22,7 @@ from idtool.estimation.uncertainty.cluster_robust import (
     cluster_robust_estimate,
 )
 from idtool.estimation.uncertainty.identifiability import Identifiability, identifiability
-from idtool.estimation.uncertainty.prediction import Prediction, prediction
+from idtool.estimation.uncertainty.prediction import Prediction, prediction, reduced_prediction
 from idtool.estimation.uncertainty.repeatability import Repeatability, repeatability
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
 from idtool.robot.inertia import PI_SIZE
@@ -103,6 +104,7 @@ def uncertainty_analysis(
     progress: Progress,
     thorough: bool,
     common_error: Array | None = None,
+    reduced: Sequence[ReducedLog] | None = None,
 ) -> UncertaintyAnalysis:
     """Analyze the uncertainty of a fit.
 
@@ -120,6 +122,8 @@ def uncertainty_analysis(
         If true, find the information source of each parameter, compare logs, and look for bias by noise.
     common_error
         Change of the coefficients by one standard error of what was fitted beforehand, shape (p,); None: nothing was.
+    reduced
+        The logs, if they have been reduced.
     """
     equation, equalities = experiment.equation, experiment.equalities
     estimate, data = identification.estimate, identification.data
@@ -141,7 +145,10 @@ def uncertainty_analysis(
         uncertainty = uncertainty.with_common_error(common_error)
 
     held_out = experiment.has_held_out
-    torque_errors = prediction(experiment, uncertainty, held_out, progress)
+    if reduced is None:
+        torque_errors = prediction(experiment, uncertainty, held_out, progress)
+    else:
+        torque_errors = reduced_prediction(experiment.equation, reduced, uncertainty, held_out)
 
     parameters = logs = bias = None
     if thorough:

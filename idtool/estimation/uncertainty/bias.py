@@ -21,7 +21,7 @@ from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.identification import Identification
-from idtool.estimation.instruments import Instruments, Kind, instrumented_rows, instruments
+from idtool.estimation.instruments import Kind, instrumented_blocks, instruments
 from idtool.estimation.two_stage import unprojected, weak_joints
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.estimation.uncertainty.cluster_robust import ClusterRobustEstimate, cluster_robust_estimate
@@ -104,12 +104,6 @@ def paired_estimates(experiment: Experiment, identification: Identification, pro
 def _seconds(experiment: Experiment) -> float:
     """Length of the training data [s]."""
     return float(sum((part.stop - part.start) * run.signals.log.dt for run in experiment.runs for part in run.train))
-
-
-def instrumented_blocks(experiment: Experiment, made: Sequence[Instruments], progress: Progress) -> tuple[Blocks, ...]:
-    """The training data as R-factors of [Z_j, Y_j, tau_j] of consecutive blocks, log by log."""
-    of_run = {id(each.run): each for each in made}
-    return experiment.blocks(lambda run: instrumented_rows(experiment, of_run[id(run)], progress))
 
 
 def instrumented_estimate(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from idtool.common.arrays import Array
+from idtool.common.arrays import Array, Indices, Mask
+from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
+from idtool.estimation.dataset.reduced_logs import ReducedLog
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
 
 _UNKNOWN = 1e-3  # share of a row's size in unobservable directions, above which its error is not known
@@ -30,6 +33,71 @@ class Prediction:
     unknown: Array
 
 
+class _Errors:
+    """Errors of the torque in the band, by joint.
+
+    Parameters
+    ----------
+    uncertainty
+        Of the coefficients.
+    """
+
+    def __init__(self, uncertainty: Uncertainty) -> None:
+        directions = uncertainty.directions
+        values, vectors = np.linalg.eigh(uncertainty.covariance_y)
+        # (p, r), whose square is the covariance:
+        self._root = directions.observable @ (vectors * np.sqrt(np.maximum(values, 0)))
+        self._observable = directions.observable * directions.singular_values
+        self._unobservable = directions.unobservable
+
+    def variances(self, Y: Array, columns: Indices) -> tuple[Array, Mask]:
+        """Variance of a joint's torque in rows, shape (n, m_j), and mask of those in which it is known; (n,) each."""
+        seen = np.square(Y @ self._observable[columns]).sum(axis=1)
+        unseen = np.square(Y @ self._unobservable[columns]).sum(axis=1)
+        is_known = unseen <= _UNKNOWN**2 * (seen + unseen)
+        return np.square(Y @ self._root[columns]).sum(axis=1), is_known
+
+
+def reduced_prediction(
+    equation: LinearModel, logs: Sequence[ReducedLog], uncertainty: Uncertainty, held_out: bool
+) -> Prediction:
+    """Compute the predicted torque's standard error from reduced logs.
+
+    The root mean square is that of all rows, unless it is unknown at some of them; the rest is that of extreme rows.
+
+    Parameters
+    ----------
+    equation
+        The torque equation.
+    logs
+        The logs.
+    uncertainty
+        Of the coefficients.
+    held_out
+        If true on the held-out parts, else on the training parts.
+    """
+    errors = _Errors(uncertainty)
+    squares, largest, count, unknown = np.zeros((4, len(equation.joints)))
+    for log in logs:
+        part = log.part(held_out)
+        if part is None:
+            continue
+        for j, (factor, drawn, columns) in enumerate(
+            zip(part.comparison, part.extremes.rows, equation.active(), strict=True)
+        ):
+            rows = drawn[..., :-2].reshape(-1, len(columns))
+            rows = rows[np.isfinite(rows).all(axis=1)]
+            variance, is_known = errors.variances(rows, columns)
+            share_known = np.mean(is_known) if len(rows) else 1.0
+            of_all, _ = errors.variances(factor.R[:, :-2], columns)
+            squares[j] += of_all.sum() if is_known.all() else factor.rows * share_known * variance[is_known].mean()
+            largest[j] = max(largest[j], float(np.max(variance[is_known], initial=0.0)))
+            count[j] += factor.rows
+            unknown[j] += (1 - share_known) * factor.rows
+    known_count = np.maximum(count - unknown, 1)
+    return Prediction(np.sqrt(squares / known_count), np.sqrt(largest), unknown / np.maximum(count, 1))
+
+
 def prediction(experiment: Experiment, uncertainty: Uncertainty, held_out: bool, progress: Progress) -> Prediction:
     """Compute the predicted torque's standard error.
 
@@ -44,25 +112,18 @@ def prediction(experiment: Experiment, uncertainty: Uncertainty, held_out: bool,
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
-    equation, directions = experiment.equation, uncertainty.directions
-    values, vectors = np.linalg.eigh(uncertainty.covariance_y)
-    root = directions.observable @ (vectors * np.sqrt(np.maximum(values, 0)))  # (p, r), whose square is the covariance
-    observable = directions.observable * directions.singular_values
-    unobservable = directions.unobservable
+    equation = experiment.equation
+    errors = _Errors(uncertainty)
     squares, largest, count, unknown = np.zeros((4, len(equation.joints)))
     for run in experiment.runs:
         parts = run.parts(held_out)
         stage = f"errors on {run.signals.log.path.name}"
         for batch in tracked(run.signals.batches(parts), parts, progress, stage):
             for j, (block, columns) in enumerate(zip(equation.block(batch), equation.active(), strict=True)):
-                Y = block[:-1].T
-                seen = np.square(Y @ observable[columns]).sum(axis=1)
-                unseen = np.square(Y @ unobservable[columns]).sum(axis=1)
-                is_known = unseen <= _UNKNOWN**2 * (seen + unseen)
-                variance = np.square(Y[is_known] @ root[columns]).sum(axis=1)
-                squares[j] += variance.sum()
-                largest[j] = max(largest[j], float(np.max(variance, initial=0.0)))
-                count[j] += len(Y)
-                unknown[j] += len(Y) - len(variance)
+                variance, is_known = errors.variances(block[:-1].T, columns)
+                squares[j] += variance[is_known].sum()
+                largest[j] = max(largest[j], float(np.max(variance[is_known], initial=0.0)))
+                count[j] += len(variance)
+                unknown[j] += np.count_nonzero(~is_known)
     known_count = np.maximum(count - unknown, 1)
     return Prediction(np.sqrt(squares / known_count), np.sqrt(largest), unknown / np.maximum(count, 1))

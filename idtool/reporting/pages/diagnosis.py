@@ -10,7 +10,7 @@ from typing import Any
 from idtool.common.number_text import range_text
 from idtool.common.units import position_units
 from idtool.diagnosis.records import Diagnosis
-from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.dataset.envelope import Trace
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.reporting.diagnosis_text import (
     RESIDUAL_MAPS,

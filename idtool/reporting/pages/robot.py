@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
-from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.dataset.envelope import Trace
 from idtool.reporting.pages.base import Sections
 from idtool.robot.body import Body, Frame
 from idtool.robot.geometry import link_surface

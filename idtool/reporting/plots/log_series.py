@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from idtool.estimation.evaluation.envelope import Trace
+from idtool.estimation.dataset.envelope import Trace
 from idtool.reporting.plots.figure import Figure, FigureGroup
 from idtool.reporting.plots.sampling import merge_stretches, round_curve
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.estimation.evaluation.envelope import Envelope
+from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation
 from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.plots.figure import SHORT, Figure, FigureGroup, Panel, curve, figure, styled_curve, time_title

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from idtool.common.arrays import Array
+from idtool.common.arrays import Array, Indices
 
 _POINTS = 2000  # a curve is drawn as the least and greatest value in this many stretches of time
 
@@ -48,8 +48,7 @@ class Envelope:
         """Add values of curves, shape (nv, N) each, at times [s], shape (N,)."""
         if not len(t):
             return
-        share = (t - self.start) / max(self.stop - self.start, np.finfo(float).tiny)
-        index = np.clip((share * self.bins).astype(int), 0, self.bins - 1)
+        index = self.bins_of(t)
         first = np.flatnonzero(np.diff(index, prepend=-1))
         for name, x in curves.items():
             low = self.low.setdefault(name, np.full((len(x), self.bins), np.inf))
@@ -58,11 +57,28 @@ class Envelope:
             low[:, bins] = np.minimum(low[:, bins], np.minimum.reduceat(x, first, axis=1))
             high[:, bins] = np.maximum(high[:, bins], np.maximum.reduceat(x, first, axis=1))
 
+    def merge(self, other: Envelope) -> None:
+        """Add the values of another envelope of the same stretches of time."""
+        for name, low in other.low.items():
+            self.low[name] = np.minimum(self.low[name], low) if name in self.low else low
+            high = other.high[name]
+            self.high[name] = np.maximum(self.high[name], high) if name in self.high else high
+
+    def bins_of(self, t: Array) -> Indices:
+        """The stretch of each of some times [s], shape (N,)."""
+        share = (t - self.start) / max(self.stop - self.start, np.finfo(float).tiny)
+        return np.asarray(np.clip((share * self.bins).astype(int), 0, self.bins - 1))
+
+    @property
+    def centres(self) -> Array:
+        """Centre of each stretch of time [s], shape (bins,)."""
+        shares = (np.arange(self.bins) + 0.5) / self.bins
+        return np.asarray(self.start + (self.stop - self.start) * shares)
+
     def trace(self, name: str) -> Trace:
         """The curves, two points per stretch; NaN, a break in the line, where nothing was measured."""
-        centres = self.start + (self.stop - self.start) * (np.arange(self.bins) + 0.5) / self.bins
         curves = {}
         for curve, low in self.low.items():
             pairs = np.stack([low, self.high[curve]], axis=-1).reshape(len(low), -1)
             curves[curve] = np.where(np.isfinite(pairs), pairs, np.nan)
-        return Trace(name, np.repeat(centres, 2), curves)
+        return Trace(name, np.repeat(self.centres, 2), curves)

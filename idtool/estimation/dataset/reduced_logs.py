@@ -1,0 +1,149 @@
+"""Logs → `ReducedPart`s, in one pass: all that a fit and its evaluation need of logs of any length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from idtool.common.arrays import Array
+from idtool.data.batches import BatchSpan
+from idtool.data.signals import Batch
+from idtool.dynamics.row_filter import Shares
+from idtool.estimation.dataset.blocks import Blocks, cut_into_blocks
+from idtool.estimation.dataset.envelope import Envelope
+from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.dataset.extreme_rows import ROWS_PER_BIN
+from idtool.estimation.dataset.passes import LogPart, read_through
+from idtool.estimation.dataset.reduced_part import ReducedPart
+
+BatchOfPart = tuple[int, BatchSpan]  # number of the part of a log, and its batch
+
+_DRAWN_BYTES = 24 << 20  # that the rows which curves are drawn from may take, of all logs
+_SERIES_BYTES = 24 << 20  # that consecutive rows may take, of all logs
+_BINS = (50, 2000)  # fewest and most stretches of time in the curves of a log
+_FEWEST_SERIES = 2  # batches of consecutive rows, however much memory they take
+
+
+@dataclass(frozen=True)
+class ReducedLog:
+    """A log.
+
+    Attributes
+    ----------
+    name
+        Its name.
+    row_step
+        Time from one row to the next [s].
+    block_rows
+        Number of rows in a block of time.
+    train, held_out
+        Its parts for fitting and for validation; None: it has none.
+    """
+
+    name: str
+    row_step: float
+    block_rows: int
+    train: ReducedPart | None
+    held_out: ReducedPart | None
+
+    def part(self, held_out: bool) -> ReducedPart | None:
+        """The part for validation, or that for fitting."""
+        return self.held_out if held_out else self.train
+
+
+def is_reducible(experiment: Experiment) -> bool:
+    """True if the error of the torque is linear in the coefficients, and these are those of all logs."""
+    equation = experiment.equation
+    if equation.depends_on_parameters or equation.has_sensors:
+        return False
+    return not any(sensor.has_offset_by_log or sensor.has_drift for sensor in experiment.config.wrench_sensors)
+
+
+def reduce_logs(experiment: Experiment, progress: Progress) -> tuple[ReducedLog, ...]:
+    """Reduce logs in one pass.
+
+    Parameters
+    ----------
+    experiment
+        Model and data; see `is_reducible`.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    """
+    equation = experiment.equation
+    numbered = list(enumerate(experiment.runs))
+    kinds = [(i, held_out) for i, run in numbered for held_out in (False, True) if run.parts(held_out)]
+    batches = [experiment.batches(experiment.runs[i], held_out) for i, held_out in kinds]
+    row_bytes = 8 * sum(len(active) + 2 for active in equation.active())
+    bins = int(np.clip(_DRAWN_BYTES // (ROWS_PER_BIN * row_bytes * max(len(kinds), 1)), *_BINS))
+    training_batches: list[BatchOfPart] = []
+    for k, (_, held_out) in enumerate(kinds):
+        if not held_out:
+            training_batches += [(k, span) for span in batches[k].spans]
+    series = {(k, span.start) for k, span in _chosen_series(training_batches, row_bytes)}
+    block_rows = experiment.block_rows()
+
+    def reduce_part(part: LogPart[Batch]) -> ReducedPart:
+        i, held_out = kinds[part.log]
+        run = experiment.runs[i]
+        reduced = ReducedPart.empty(equation, Envelope(run.parts(held_out), run.signals.log.t, bins))
+
+        def rows() -> Iterator[tuple[list[Array], Shares]]:
+            for batch, span in zip(part.batches, part.batches.spans, strict=True):
+                times = run.signals.log.start + batch.motion.t[batch.before : len(batch.motion.t) - batch.after]
+                keep_series = (part.log, span.start) in series
+                yield reduced.add_batch(equation, batch, run.signals.full_rate_low_pass, times, keep_series)
+
+        reduced.blocks = dict(cut_into_blocks(rows(), block_rows, run.signals.low_pass.redundancy, part.first_row))
+        return reduced
+
+    parts: dict[tuple[int, bool], ReducedPart] = {}
+    stages = [f"reading {experiment.runs[i].signals.log.path.name}" for i, _ in kinds]
+    most_processes = None if experiment.cache is None else 1  # copies of this process would fill a cache of their own
+    for k, part in read_through(batches, reduce_part, stages, progress, most_processes):
+        if kinds[k] in parts:
+            parts[kinds[k]].merge(part)
+        else:
+            parts[kinds[k]] = part
+    reduced = []
+    for i, run in numbered:
+        name = run.signals.log.path.name
+        row_step = run.signals.low_pass.stride * run.signals.log.dt
+        reduced.append(ReducedLog(name, row_step, block_rows, parts.get((i, False)), parts.get((i, True))))
+    return tuple(reduced)
+
+
+def training_blocks(experiment: Experiment, logs: Sequence[ReducedLog]) -> tuple[Blocks, ...]:
+    """The training data as R-factors of consecutive blocks, log by log.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    logs
+        Its logs.
+
+    Raises
+    ------
+    LogError
+        If a joint has no sample that counts.
+    """
+    blocks = []
+    for log in logs:
+        if log.train is not None and log.train.blocks:
+            parts = []
+            for block in log.train.blocks.values():
+                parts.append(tuple(factor.without_last_column() for factor in block))
+            blocks.append(Blocks(log.name, tuple(parts), log.block_rows * log.row_step))
+    return experiment.checked_blocks(blocks)
+
+
+def _chosen_series(training_batches: Sequence[BatchOfPart], row_bytes: int) -> list[BatchOfPart]:
+    """Batches whose rows are kept one after the other, spread evenly over the training data."""
+    if not training_batches:
+        return []
+    longest = max(span.rows for _, span in training_batches)
+    most = max(_SERIES_BYTES // (row_bytes * longest), _FEWEST_SERIES)
+    places = np.linspace(0, len(training_batches) - 1, min(most, len(training_batches)))
+    return [training_batches[place] for place in places.round().astype(int)]

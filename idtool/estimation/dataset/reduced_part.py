@@ -1,0 +1,171 @@
+"""`ReducedPart`: what is kept of a part of a log for fits and their evaluation. It does not grow with the log.
+
+Letters: m_j coefficients of row j, Y_j (n, m_j) its columns and tau_j its torque in the band, at n filtered samples of
+N at the logged rate; measured: the measured torque in the band; above: the logged torque less that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from idtool.common.arrays import Array, Mask
+from idtool.data.filters import LowPass
+from idtool.data.signals import Batch, Motion
+from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.row_filter import Shares
+from idtool.estimation.dataset.blocks import merge_reductions
+from idtool.estimation.dataset.envelope import Envelope
+from idtool.estimation.dataset.extreme_rows import ExtremeRows
+from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
+
+
+@dataclass
+class ReducedPart:
+    """A part of a log, for fitting or for validation.
+
+    Attributes
+    ----------
+    excluded
+        R-factors of [Y_j, tau_j, above_j] of the rows that don't count in a fit.
+    posture
+        Positions in stretches of time, for drawing.
+    extremes
+        Rows [Y_j, tau_j, measured_j] in the same stretches of time.
+    is_compared
+        Mask of the rows of the equation in which measurement and model are compared, shape (nv,).
+    torque_sums
+        Sums of the measured torque and of its square over the N samples, shape (2, nv).
+    squares_above_band
+        Sum of squares of the torque above the band over the N samples, shape (nv,).
+    samples, rows
+        Number of samples at the logged rate, N, and of filtered ones, n.
+    blocks
+        R-factors of [Y_j, tau_j, above_j] of the rows that count, by number of the block of time.
+    series
+        Consecutive rows of some batches, per joint [Y_j, tau_j, measured_j], shape (m_j + 2, n') each.
+    """
+
+    excluded: Reduction
+    posture: Envelope
+    extremes: ExtremeRows
+    is_compared: Mask
+    torque_sums: Array
+    squares_above_band: Array
+    samples: int = 0
+    rows: int = 0
+    blocks: dict[int, Reduction] = field(default_factory=dict)
+    series: list[list[Array]] = field(default_factory=list)
+
+    @staticmethod
+    def empty(equation: LinearModel, posture: Envelope) -> ReducedPart:
+        """A part without samples.
+
+        Parameters
+        ----------
+        equation
+            The torque equation.
+        posture
+            Stretches of time, for drawing.
+        """
+        nv = len(equation.joints)
+        widths = [len(active) + 2 for active in equation.active()]
+        return ReducedPart(
+            excluded=empty(np.arange(width - 1) for width in widths),
+            posture=posture,
+            extremes=ExtremeRows(widths, posture.bins),
+            is_compared=np.zeros(nv, dtype=bool),
+            torque_sums=np.zeros((2, nv)),
+            squares_above_band=np.zeros(nv),
+        )
+
+    @property
+    def comparison(self) -> Reduction:
+        """R-factors of [Y_j, tau_j, above_j] of all rows."""
+        return merge_reductions([self.excluded, *self.blocks.values()])
+
+    def merge(self, other: ReducedPart) -> None:
+        """Add what comes after it."""
+        for number, block in other.blocks.items():
+            self.blocks[number] = merge(self.blocks[number], block) if number in self.blocks else block
+        self.excluded = merge(self.excluded, other.excluded)
+        self.posture.merge(other.posture)
+        self.extremes.merge(other.extremes)
+        self.is_compared |= other.is_compared
+        self.torque_sums += other.torque_sums
+        self.squares_above_band += other.squares_above_band
+        self.samples += other.samples
+        self.rows += other.rows
+        self.series += other.series
+
+    def add_batch(
+        self, equation: LinearModel, batch: Batch, full_rate: LowPass, times: Array, keep_series: bool
+    ) -> tuple[list[Array], Shares]:
+        """Add all but the blocks of a batch.
+
+        Parameters
+        ----------
+        equation
+            The torque equation.
+        batch
+            The batch.
+        full_rate
+            Low-pass of the same band that keeps every sample.
+        times
+            Times of its N filtered samples [s], shape (N,).
+        keep_series
+            If true, the rows are added to the series.
+
+        Returns
+        -------
+        [Y_j, tau_j, above_j] of each joint, shape (m_j + 2, n), and the share of each row that counts, shape (n,).
+        """
+        motion = batch.motion
+        inner = slice(batch.before, len(motion.t) - batch.after)
+        row_filter = equation.row_filter(batch)
+        columns = equation.filtered_columns(batch, row_filter)
+        is_compared = equation.compared_rows(batch, row_filter)
+
+        measured = _filtered_at_every_sample(motion.tau, batch, full_rate)
+        above = motion.logged_tau[:, inner] - measured
+        self.samples += measured.shape[1]
+        self.is_compared |= is_compared
+        self.torque_sums += measured.sum(axis=1), np.square(measured).sum(axis=1)
+        self.squares_above_band += np.square(above).sum(axis=1)
+        self.posture.add(times, _posture_curves(motion, inner))
+
+        stride = batch.low_pass.stride
+        measured, above = measured[:, ::stride], above[:, ::stride]
+        self.rows += measured.shape[1]
+        bins = self.posture.bins_of(times[::stride])
+        prior = equation.prior
+        for joint, active in enumerate(equation.active()):
+            drawn = np.concatenate([columns[joint], measured[None, joint]])
+            error = columns[joint][-1] - prior[active] @ columns[joint][:-1]
+            self.extremes.add(joint, bins, drawn, (measured[joint], error))
+        if keep_series:
+            self.series.append([np.concatenate([own, tau[None]]) for own, tau in zip(columns, measured, strict=True)])
+
+        rows = [np.concatenate([own, torque[None]]) for own, torque in zip(columns, above, strict=True)]
+        excluded = []
+        for own, share in zip(rows, row_filter.shares, strict=True):
+            excluded.append(Factor.from_columns(own[:, ~share.astype(bool)], batch.low_pass.redundancy))
+        self.excluded = merge(self.excluded, tuple(excluded))
+        return rows, row_filter.shares
+
+
+def _filtered_at_every_sample(x: Array, batch: Batch, full_rate: LowPass) -> Array:
+    """A signal of a batch's motion, shape (nv, before + N + after), in the band, shape (nv, N)."""
+    before, after = min(batch.before, full_rate.reach), min(batch.after, full_rate.reach)
+    surroundings = slice(batch.before - before, x.shape[-1] - batch.after + after)
+    return full_rate(x[..., surroundings], before, after)
+
+
+def _posture_curves(motion: Motion, inner: slice) -> dict[str, Array]:
+    """Positions of the joints, and rotation of a floating base to the world, shape (9, N)."""
+    curves = {"q": motion.q[:, inner]}
+    if motion.contacts is not None:
+        base_to_world = motion.contacts.world_to_base.transpose(1, 0, 2)
+        curves["base"] = base_to_world[..., inner].reshape(9, -1)
+    return curves
