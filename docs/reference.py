@@ -20,6 +20,7 @@ from idtool.reporting.results.excitation import ExcitationReport
 from idtool.reporting.results.export import ExportReport
 from idtool.reporting.results.fit import FitReport
 from idtool.reporting.results.inspection import InspectionReport
+from idtool.reporting.results.reduction import ReductionReport
 from idtool.reporting.results.setup import InitReport
 from idtool.reporting.results.simulation import SimulationReport
 from idtool.reporting.results.study import StudyReport
@@ -42,6 +43,7 @@ RESULTS: dict[str, tuple[type[Result], str]] = {
     "simulate": (SimulationReport, "Printed by `idtool simulate --json`; the motion is in the log that it writes."),
     "excite": (ExcitationReport, "Printed by `idtool excite --json`."),
     "export": (ExportReport, "Printed by `idtool export --json`."),
+    "reduce": (ReductionReport, "Printed by `idtool reduce --json`."),
     "ellipsoids": (EllipsoidsReport, "Printed by `idtool ellipsoids --json`."),
     "ellipsoids --check": (CheckReport, "Printed by `idtool ellipsoids --check --json`."),
     "The regression test": (RegressionReport, "Printed by `idtool validate --json` without a URDF."),

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from idtool.api.inspect import InspectionResult, inspect
     from idtool.api.log import Log, read_log
     from idtool.api.model import Model
+    from idtool.api.reduce import ReductionResult, reduce
     from idtool.api.simulate import SimulationResult, simulate
     from idtool.api.study import StudyResult, study
     from idtool.api.validate import ValidationResult, validate
@@ -60,6 +61,7 @@ __all__ = [
     "LogError",
     "Model",
     "ModelError",
+    "ReductionResult",
     "SimulationResult",
     "SolverError",
     "StudyResult",
@@ -75,6 +77,7 @@ __all__ = [
     "init",
     "inspect",
     "read_log",
+    "reduce",
     "simulate",
     "study",
     "validate",
@@ -91,6 +94,7 @@ _NAMES = {
     "idtool.api.inspect": ("InspectionResult", "inspect"),
     "idtool.api.log": ("Log", "read_log"),
     "idtool.api.model": ("Model",),
+    "idtool.api.reduce": ("ReductionResult", "reduce"),
     "idtool.api.simulate": ("SimulationResult", "simulate"),
     "idtool.api.study": ("StudyResult", "study"),
     "idtool.api.validate": ("ValidationResult", "validate"),

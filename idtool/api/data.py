@@ -12,20 +12,25 @@ from idtool.api.results import Progress
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.data.logs import JointLog
 from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.reduced_experiment import prepare_reduced
+from idtool.estimation.saved_reduction import SUFFIX, SavedReduction, read_reduction
 
 LogSource = Log | Source
 Logs = LogSource | Sequence[LogSource]
+
+DEFAULT_HOLDOUT = 0.3  # share at the end of every log
 
 
 def load_experiment(
     model: Model | Source,
     logs: Logs,
     validate: Logs = (),
-    holdout: float = 0.3,
+    holdout: float = DEFAULT_HOLDOUT,
     progress: Progress = lambda stage, share: None,
     transform: Callable[[JointLog], JointLog] = lambda log: log,
+    takes_reductions: bool = False,
 ) -> Experiment:
-    """Load logs and put them together with a model.
+    """Load logs, or reduced logs, and put them together with a model.
 
     Parameters
     ----------
@@ -37,6 +42,8 @@ def load_experiment(
         Called with the stage and the share of it that is done.
     transform
         Applied to every log that is read.
+    takes_reductions
+        If true, the logs may be files of `idtool reduce`.
 
     Raises
     ------
@@ -45,15 +52,49 @@ def load_experiment(
     """
     progress("reading", 0.0)
     model = as_model(model)
+    reductions = [path for log in (*as_list(logs), *as_list(validate)) if (path := _reduction_path(log))]
+    if reductions and not takes_reductions:
+        raise LogError(reductions[0], "is a reduction, which has no samples; give the log")
     training_logs = [_record(log, model) for log in as_list(logs)]
     validation_logs = [_record(log, model) for log in as_list(validate)]
     try:
+        if reductions:
+            return _with_reductions(model, as_list(logs), as_list(validate), holdout)
         return prepare(model.robot, model.settings, training_logs, validation_logs, holdout, transform)
     except ConfigError as error:
         source = model.settings.source
         if source is None or error.where.startswith("--"):
             raise
         raise ConfigError(f"{source.path}: {error.where}", error.what) from None
+
+
+def _reduction_path(log: LogSource) -> Path | None:
+    """The path of a file of `idtool reduce`, which is known by its name; None for others."""
+    if isinstance(log, Log) or Path(log).suffix.lower() != SUFFIX:
+        return None
+    return Path(log)
+
+
+def _with_reductions(
+    model: Model, logs: Sequence[LogSource], validate: Sequence[LogSource], holdout: float
+) -> Experiment:
+    """A model with reduced logs."""
+    training = [_read_reduction(log) for log in logs]
+    validation = [_read_reduction(log) for log in validate]
+    for path, reduction in training:
+        if not validate and holdout not in (reduction.holdout, DEFAULT_HOLDOUT):
+            what = f"{path} was made with --holdout {reduction.holdout:g}"
+            raise ConfigError("--holdout", f"{what}; make it again with idtool reduce for another one")
+    return prepare_reduced(model.robot, model.settings, training, validation)
+
+
+def _read_reduction(log: LogSource) -> tuple[Path, SavedReduction]:
+    """A file of `idtool reduce`, and what is in it; LogError for a log."""
+    path = _reduction_path(log)
+    if path is None:
+        log_path = log.path if isinstance(log, Log) else Path(log)
+        raise LogError(log_path, "is a log among reductions; make a reduction of it with idtool reduce")
+    return path, read_reduction(path)
 
 
 def as_list(logs: Logs) -> list[LogSource]:

@@ -19,6 +19,7 @@ from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import Fit
 from idtool.estimation.fit import fit as run_fit
 from idtool.estimation.identification import Method
+from idtool.estimation.reduced_experiment import ReducedExperiment
 from idtool.reporting.fit_report import fit_report, model_config
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.fit import FitReport
@@ -126,7 +127,8 @@ def fit(
     model
         The model, or its URDF.
     logs
-        Logs for the fit: paths, which are read with the settings of the configuration, or `Log` objects.
+        Logs for the fit: paths, which are read with the settings of the configuration, or `Log` objects. Or files of
+        `idtool.reduce`, which replace logs; then there is no simulation and no check of the bias from noise.
     validate
         Whole logs for validation. If they are given, no part of the other logs is held out.
     holdout
@@ -156,7 +158,7 @@ def fit(
     True
     """
     report_progress = progress or ignore_progress
-    experiment = load_experiment(model, logs, validate, holdout, report_progress)
+    experiment = load_experiment(model, logs, validate, holdout, report_progress, takes_reductions=True)
     options = changed_options(fit, holdout=holdout, method=method, simulation=simulation, quick=quick)
     made_by = call_text("fit", model, logs, validate=validate, **options)
     return fit_experiment(experiment, made_by, report_progress, simulation and not quick, not quick, method)
@@ -190,9 +192,10 @@ def fit_experiment(
     IdtoolError
         As in `fit`.
     """
-    solved = run_fit(experiment, progress, simulate, analyze_uncertainty, method)
+    has_samples = not isinstance(experiment, ReducedExperiment)
+    solved = run_fit(experiment, progress, simulate and has_samples, analyze_uncertainty, method)
     maps = None
-    if analyze_uncertainty:
+    if analyze_uncertainty and has_samples:
         if experiment.has_only_joints:  # they are sought without the motion of a base and without contacts
             faults = find_data_faults(experiment, progress)
             uncorrectable = [fault for fault in faults if fault.code in _UNCORRECTABLE_FAULTS]

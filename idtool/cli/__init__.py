@@ -15,6 +15,7 @@ from idtool.cli import (  # noqa: F401  # each adds its command
     fit,
     init,
     inspect,
+    reduce,
     simulate,
     study,
     validate,

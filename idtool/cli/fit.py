@@ -56,7 +56,7 @@ def fit_command(
     folder = output_folder(urdf, out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
-        experiment = load_experiment(model, logs, validate or (), holdout, progress)
+        experiment = load_experiment(model, logs, validate or (), holdout, progress, takes_reductions=True)
         bounds = parse_bounds(max_rms or [], experiment)
         simulate = not (no_simulation or quick)
         result = fit_experiment(experiment, command_line(), progress, simulate, not quick, method)

@@ -6,9 +6,11 @@ import time
 from dataclasses import dataclass, replace
 
 from idtool.common.arrays import Array
+from idtool.common.exceptions import ConfigError
 from idtool.common.notice import Notice
 from idtool.dynamics.effects import ParameterValue, effect_from_entry
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
+from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduced_logs import ReducedLog, is_reducible, reduce_logs, training_blocks
 from idtool.estimation.evaluation.reduced_errors import evaluate_reduced
@@ -19,6 +21,7 @@ from idtool.estimation.identification import Method, estimate_from_logs
 from idtool.estimation.offset_notices import held_out_offset_notices, offset_notices
 from idtool.estimation.problem.estimate import Estimate
 from idtool.estimation.problem.regularization_path import RegularizationPath
+from idtool.estimation.reduced_experiment import ReducedExperiment
 from idtool.estimation.row_correlation import with_row_correlation
 from idtool.estimation.row_noise import with_row_noise
 from idtool.estimation.sensor_drift import with_sensor_drift
@@ -138,20 +141,27 @@ def fit(
         If the problem could not be solved.
     """
     clock = _Clock()
-    experiment, delay, data = with_delay(experiment, progress)
-    if experiment.equation.contacts is not None:
-        experiment = with_row_noise(experiment, progress)
-        data = None  # reduced with other noise
-    experiment, data = with_sensor_drift(experiment, progress, data)
-    if delay is None and analyze_uncertainty:
-        delay = command_delay(experiment, progress)
-    clock.stop("delay")
-
+    delay: CommandDelay | None = None
+    data: tuple[Blocks, ...] | None = None
     reduced: tuple[ReducedLog, ...] | None = None
-    if is_reducible(experiment):
-        reduced = reduce_logs(experiment, progress)
-        data = data or training_blocks(experiment, reduced)
-    clock.stop("reduce")
+    if isinstance(experiment, ReducedExperiment):
+        if method == "iv":
+            raise ConfigError("--method iv", "needs the logs: a reduction does not hold their samples")
+        reduced = experiment.logs
+    else:
+        experiment, delay, data = with_delay(experiment, progress)
+        if experiment.equation.contacts is not None:
+            experiment = with_row_noise(experiment, progress)
+            data = None  # reduced with other noise
+        experiment, data = with_sensor_drift(experiment, progress, data)
+        if delay is None and analyze_uncertainty:
+            delay = command_delay(experiment, progress)
+        clock.stop("delay")
+        if is_reducible(experiment):
+            reduced = reduce_logs(experiment, progress)
+            clock.stop("reduce")
+    if reduced is not None and data is None:
+        data = training_blocks(experiment, reduced)
 
     decorrelated = with_row_correlation(experiment, progress)  # for the estimate only: errors are told row by row
     if decorrelated is not experiment:

@@ -111,7 +111,7 @@ def fit_report(fit: Fit) -> FitReport:
         solver=SolverReport(**{name: getattr(fit.estimate.certificate, name) for name in SolverReport.model_fields}),
         seconds=fit.seconds,
         **notice_fields(fit.notices),
-        logs=[str(run.signals.log.path) for run in experiment.runs],
+        logs=[str(path) for path in experiment.log_paths],
         urdf=str(experiment.model.robot.path),
     )
 
@@ -366,16 +366,11 @@ def _coefficient_index(fit: Fit, effect: str, owner: str) -> int | None:
 def friction_report(fit: Fit, joint: str) -> FrictionReport:
     """One entry of ``friction``."""
     terms = {key: _coefficient(fit, kind.id, joint) for key, kind in friction_types().items()}
-    if _torque_is_unknown(fit, joint):
+    if fit.experiment.is_torque_unknown(joint):
         terms = dict.fromkeys(terms)
     values = {name: term[0] if term else None for name, term in terms.items()}
     errors = {name: term[1] if term else None for name, term in terms.items()}
     return FrictionReport(**values, standard_error=FrictionErrors(**errors))
-
-
-def _torque_is_unknown(fit: Fit, joint: str) -> bool:
-    """True if no log that was fitted has the torque of a joint, so that its friction has only been assumed."""
-    return all(joint in run.signals.log.unknown_torque for run in fit.experiment.runs if run.train)
 
 
 def friction_intervals(fit: Fit, joint: str) -> FrictionIntervals:

@@ -82,7 +82,7 @@ def controller_report(fit: Fit) -> ControllerDelay | None:
     """The entry ``controller`` of report.json; None where no torque comes from a command."""
     experiment = fit.experiment
     controller = experiment.config.controller
-    if controller is None or not any(run.signals.controller.joints.any() for run in experiment.runs):
+    if controller is None or not experiment.has_commands:
         return None
     delay = controller.known_delay
     fitted = fit.delay

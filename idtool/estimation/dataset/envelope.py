@@ -44,6 +44,14 @@ class Envelope:
         self.low: dict[str, Array] = {}
         self.high: dict[str, Array] = {}
 
+    @classmethod
+    def of_stretches(cls, start: float, stop: float, bins: int) -> Envelope:
+        """An envelope without values, of stretches of time between two times [s]."""
+        envelope = cls.__new__(cls)
+        envelope.start, envelope.stop, envelope.bins = float(start), float(stop), int(bins)
+        envelope.low, envelope.high = {}, {}
+        return envelope
+
     def add(self, t: Array, curves: Mapping[str, Array]) -> None:
         """Add values of curves, shape (nv, N) each, at times [s], shape (N,)."""
         if not len(t):

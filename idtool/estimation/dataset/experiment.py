@@ -118,8 +118,7 @@ class Experiment:
         """Notices about model and logs."""
         notices = [*self.model.notices, *self._moving_joints_notice(), *self._same_recording_notices()]
         controller = self.config.controller
-        by_command = any(run.signals.controller.joints.any() for run in self.runs)
-        if by_command and controller is not None and controller.known_delay is None:
+        if self.has_commands and controller is not None and controller.known_delay is None:
             message = "the delay is not known, so 0 is used; idtool fit determines it"
             notices.append(Notice("command_delay_not_fitted", "warning", "controller.delay", message))
         if self.model.has_floating_base:
@@ -181,6 +180,20 @@ class Experiment:
     def sources(self) -> tuple[InputFile, ...]:
         """Files of the experiment: the URDF, the configuration and the logs, each once."""
         return sources_of(self.model.robot, self.config, [run.signals.log for run in self.runs])
+
+    @property
+    def log_paths(self) -> tuple[Path, ...]:
+        """The logs."""
+        return tuple(run.signals.log.path for run in self.runs)
+
+    @property
+    def has_commands(self) -> bool:
+        """True if the torque of a joint in a log is that of a controller under the logged command."""
+        return any(run.signals.controller.joints.any() for run in self.runs)
+
+    def is_torque_unknown(self, joint: str) -> bool:
+        """True if no log that is fitted has the torque of a joint."""
+        return all(joint in run.signals.log.unknown_torque for run in self.runs if run.train)
 
     @property
     def has_held_out(self) -> bool:

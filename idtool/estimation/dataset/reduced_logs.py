@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -20,8 +21,8 @@ from idtool.estimation.dataset.reduced_part import ReducedPart
 
 BatchOfPart = tuple[int, BatchSpan]  # number of the part of a log, and its batch
 
-_DRAWN_BYTES = 24 << 20  # that the rows which curves are drawn from may take, of all logs
-_SERIES_BYTES = 24 << 20  # that consecutive rows may take, of all logs
+_DRAWN_BYTES = 8 << 20  # that the rows which curves are drawn from may take, of all logs
+_SERIES_BYTES = 8 << 20  # that consecutive rows may take, of all logs
 _BINS = (50, 2000)  # fewest and most stretches of time in the curves of a log
 _FEWEST_SERIES = 2  # batches of consecutive rows, however much memory they take
 
@@ -32,24 +33,35 @@ class ReducedLog:
 
     Attributes
     ----------
-    name
-        Its name.
+    path
+        The file or folder that was read.
+    unknown_torque
+        Joints whose torque was not logged.
+    has_commands
+        True if the torque of a joint is that of a controller under the logged command.
     row_step
         Time from one row to the next [s].
     block_rows
         Number of rows in a block of time.
     train, held_out
-        Its parts for fitting and for validation; None: it has none.
+        Its parts for fitting and for validation, in the order of time.
     """
 
-    name: str
+    path: Path
+    unknown_torque: tuple[str, ...]
+    has_commands: bool
     row_step: float
     block_rows: int
-    train: ReducedPart | None
-    held_out: ReducedPart | None
+    train: tuple[ReducedPart, ...]
+    held_out: tuple[ReducedPart, ...]
 
-    def part(self, held_out: bool) -> ReducedPart | None:
-        """The part for validation, or that for fitting."""
+    @property
+    def name(self) -> str:
+        """Name of the file or folder."""
+        return self.path.name
+
+    def parts(self, held_out: bool) -> tuple[ReducedPart, ...]:
+        """The parts for validation, or those for fitting."""
         return self.held_out if held_out else self.train
 
 
@@ -108,9 +120,18 @@ def reduce_logs(experiment: Experiment, progress: Progress) -> tuple[ReducedLog,
             parts[kinds[k]] = part
     reduced = []
     for i, run in numbered:
-        name = run.signals.log.path.name
-        row_step = run.signals.low_pass.stride * run.signals.log.dt
-        reduced.append(ReducedLog(name, row_step, block_rows, parts.get((i, False)), parts.get((i, True))))
+        log = run.signals.log
+        reduced.append(
+            ReducedLog(
+                path=log.path,
+                unknown_torque=log.unknown_torque,
+                has_commands=bool(run.signals.controller.joints.any()),
+                row_step=run.signals.low_pass.stride * log.dt,
+                block_rows=block_rows,
+                train=(parts[i, False],) if (i, False) in parts else (),
+                held_out=(parts[i, True],) if (i, True) in parts else (),
+            )
+        )
     return tuple(reduced)
 
 
@@ -131,11 +152,12 @@ def training_blocks(experiment: Experiment, logs: Sequence[ReducedLog]) -> tuple
     """
     blocks = []
     for log in logs:
-        if log.train is not None and log.train.blocks:
-            parts = []
-            for block in log.train.blocks.values():
-                parts.append(tuple(factor.without_last_column() for factor in block))
-            blocks.append(Blocks(log.name, tuple(parts), log.block_rows * log.row_step))
+        of_log = []
+        for part in log.train:
+            for block in part.blocks.values():
+                of_log.append(tuple(factor.without_last_column() for factor in block))
+        if of_log:
+            blocks.append(Blocks(log.name, tuple(of_log), log.block_rows * log.row_step))
     return experiment.checked_blocks(blocks)
 
 

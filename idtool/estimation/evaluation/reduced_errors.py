@@ -39,11 +39,7 @@ def evaluate_reduced(
     """
     joints = equation.joints
     nv = len(joints)
-    parts = []
-    for log in logs:
-        part = log.part(held_out)
-        if part is not None and part.rows:
-            parts.append((log, part))
+    parts = [(log, part) for log in logs for part in log.parts(held_out) if part.rows]
     errors = {name: Errors.none(nv, 0) for name in models}
     torque_sums, known_samples = np.zeros((2, nv)), np.zeros(nv)
     for _, part in parts:
@@ -63,7 +59,7 @@ def evaluate_reduced(
     return Evaluation(
         errors,
         dict(zip(joints, torque_deviation(torque_sums, known_samples).tolist(), strict=True)),
-        tuple(_trace(equation, log.name, part, models) for log, part in parts),
+        tuple(_trace(equation, log.name, log.parts(held_out), models) for log in logs if log.parts(held_out)),
         dict(zip(joints, independent.tolist(), strict=True)),
     )
 
@@ -101,18 +97,30 @@ def _residual(equation: LinearModel, rows: Sequence[Array], theta: Array) -> Arr
     return np.stack(residuals)
 
 
-def _trace(equation: LinearModel, name: str, part: ReducedPart, models: Mapping[str, Array]) -> Trace:
-    """Curves of a log's part for drawing."""
-    trace = part.posture.trace(name)
+def _trace(equation: LinearModel, name: str, parts: Sequence[ReducedPart], models: Mapping[str, Array]) -> Trace:
+    """Curves of a log's parts for drawing."""
+    traces = [part.posture.trace(name) for part in parts]
+    for trace, part in zip(traces, parts, strict=True):
+        trace.curves.update(_torque_curves(equation, part, models))
+    t = np.concatenate([trace.t for trace in traces])
+    curves = {}
+    for curve in traces[0].curves:
+        curves[curve] = np.concatenate([trace.curves[curve] for trace in traces], axis=1)
+    return Trace(name, t, curves)
+
+
+def _torque_curves(equation: LinearModel, part: ReducedPart, models: Mapping[str, Array]) -> dict[str, Array]:
+    """Least and greatest torque in the stretches of time of a part, by curve, shape (nv, 2 bins)."""
     rows = [np.moveaxis(own, -1, 0) for own in part.extremes.rows]  # (m_j + 2, bins, rows of a bin)
     measured = np.stack([own[-1] for own in rows])
     residuals = {}
     for model, theta in models.items():
         residuals[model] = np.where(part.is_compared[:, None, None], _residual(equation, rows, theta), 0.0)
-    values = {"measured": measured, "residual": residuals[next(iter(models))]}
+    torques = {"measured": measured, "residual": residuals[next(iter(models))]}
     for model, residual in residuals.items():
-        values[model] = measured - residual
-    for curve, x in values.items():
+        torques[model] = measured - residual
+    curves = {}
+    for curve, x in torques.items():
         pairs = np.stack([x.min(axis=2), x.max(axis=2)], axis=-1)
-        trace.curves[curve] = pairs.reshape(len(pairs), -1)
-    return trace
+        curves[curve] = pairs.reshape(len(pairs), -1)
+    return curves

@@ -294,6 +294,9 @@ def _bias_unchecked(experiment: Experiment) -> Notice:
     if not experiment.has_only_joints:
         what = "least squares was not checked for bias: this needs a fixed base and no wrench sensors"
         return Notice("bias_unchecked", "note", None, what)
+    if not experiment.runs:
+        what = "least squares was not checked for bias: this needs the logs, of which a reduction has no samples"
+        return Notice("bias_unchecked", "note", None, what)
     what = "least squares was not checked for bias: the logs are too long, or no instruments are available"
     return Notice("bias_unchecked", "note", None, what, "see --method iv")
 

@@ -84,6 +84,8 @@ def paired_estimates(experiment: Experiment, identification: Identification, pro
     """
     two_stage = identification.two_stage
     theta, noise = identification.estimate.theta, identification.estimate.noise
+    if not experiment.runs:
+        return None
     if two_stage is not None:
         made = two_stage.instruments
     elif _seconds(experiment) > (_LONGEST if experiment.config.controller else _LONGEST_SMOOTHED):

@@ -78,10 +78,7 @@ def reduced_prediction(
     """
     errors = _Errors(uncertainty)
     squares, largest, count, unknown = np.zeros((4, len(equation.joints)))
-    for log in logs:
-        part = log.part(held_out)
-        if part is None:
-            continue
+    for part in (part for log in logs for part in log.parts(held_out)):
         for j, (factor, drawn, columns) in enumerate(
             zip(part.comparison, part.extremes.rows, equation.active(), strict=True)
         ):

@@ -1,0 +1,116 @@
+"""`reduce`: logs reduced to what a fit needs of them, on disk."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from idtool.api.data import DEFAULT_HOLDOUT, Logs, load_experiment
+from idtool.api.model import Model, Source
+from idtool.api.results import Progress, ignore_progress, notice_lines
+from idtool.common.exceptions import ConfigError
+from idtool.common.outputs import check_file
+from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.reduced_experiment import save_reduction
+from idtool.estimation.saved_reduction import SUFFIX, write_reduction
+from idtool.reporting.results.base import notice_fields
+from idtool.reporting.results.reduction import ReducedLogReport, ReductionReport
+
+
+class ReductionResult(ReductionReport):
+    """What was reduced, and the file. The fields are those of `idtool reduce --json`."""
+
+    def __repr__(self) -> str:
+        train = sum(log.train for log in self.logs)
+        validation = sum(log.validation for log in self.logs)
+        logs = "1 log" if len(self.logs) == 1 else f"{len(self.logs)} logs"
+        head = f"ReductionResult {self.file}: {logs}, {train} samples for fitting and {validation} for validation"
+        return "\n".join([head, *notice_lines(self.notices)])
+
+
+def reduce(
+    model: Model | Source,
+    logs: Logs,
+    out: str | os.PathLike[str],
+    *,
+    holdout: float = DEFAULT_HOLDOUT,
+    progress: Progress | None = None,
+) -> ReductionResult:
+    """Reduce logs to what a fit needs of them, like `idtool reduce`. `idtool.fit` takes the file in place of the logs.
+
+    Parameters
+    ----------
+    model
+        The model, or its URDF.
+    logs
+        The logs: paths, which are read with the settings of the configuration, or `Log` objects.
+    out
+        File to write; its name ends in ``.idr``.
+    holdout
+        Fraction at the end of every log that is kept for validation; at least 0 and less than 1.
+    progress
+        Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
+
+    Raises
+    ------
+    IdtoolError
+        If a log, the configuration or the model cannot be used, or the file cannot be written.
+
+    Examples
+    --------
+    >>> reduction = idtool.reduce("sample_logs/leg.urdf", "sample_logs/leg_train.mcap", "leg.idr")
+    >>> round(idtool.fit("sample_logs/leg.urdf", reduction.file, quick=True).rms.validation["overall"], 2)
+    0.11
+    """
+    report_progress = progress or ignore_progress
+    file = check_reduction_file(Path(out))
+    experiment = load_experiment(model, logs, (), holdout, report_progress)
+    return reduce_experiment(experiment, file, holdout, report_progress)
+
+
+def check_reduction_file(file: Path) -> Path:
+    """The file as given, checked before the work is done.
+
+    Raises
+    ------
+    IdtoolError
+        If its name does not end in ``.idr``, or it cannot be written.
+    """
+    if file.suffix.lower() != SUFFIX:
+        raise ConfigError("--out", f"{file} does not end in {SUFFIX}; give a file that does")
+    check_file(file, [])
+    return file
+
+
+def reduce_experiment(experiment: Experiment, file: Path, holdout: float, progress: Progress) -> ReductionResult:
+    """Reduce the logs of an experiment and write the file.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    file, holdout, progress
+        As in `reduce`.
+
+    Raises
+    ------
+    IdtoolError
+        As in `reduce`.
+    """
+    reduction = save_reduction(experiment, holdout, progress)
+    progress("writing", 0.0)
+    write_reduction(file, reduction)
+    logs = []
+    for log in reduction.logs:
+        samples = {held_out: sum(part.samples for part in log.parts(held_out)) for held_out in (False, True)}
+        logs.append(ReducedLogReport(path=str(log.path), train=samples[False], validation=samples[True]))
+    return ReductionResult(
+        file=str(file),
+        bytes=file.stat().st_size,
+        urdf=str(experiment.model.robot.path),
+        joints=experiment.equation.joints,
+        band_hz=reduction.band_hz,
+        holdout=holdout,
+        logs=tuple(logs),
+        **notice_fields((*experiment.model.notices, *reduction.notices)),
+    )

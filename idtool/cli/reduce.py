@@ -1,0 +1,54 @@
+"""`idtool reduce`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from idtool.cli.app import IDENTIFY_AND_CHECK, app
+from idtool.cli.options import (
+    ConfigOption,
+    HoldoutOption,
+    JsonOption,
+    LogsArgument,
+    QuietOption,
+    UrdfArgument,
+    finish,
+)
+
+ReductionOption = Annotated[
+    Path, typer.Option("--out", metavar="FILE.idr", help="File to write; its name ends in .idr.", show_default=False)
+]
+
+
+@app.command(
+    "reduce",
+    rich_help_panel=IDENTIFY_AND_CHECK,
+    epilog="Example: idtool reduce leg.urdf run1.mcap --out run1.idr, then idtool fit leg.urdf run1.idr",
+)
+def reduce_command(
+    urdf: UrdfArgument,
+    logs: LogsArgument,
+    out: ReductionOption,
+    config: ConfigOption = None,
+    holdout: HoldoutOption = 0.3,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Reduce logs to a small file, which idtool fit takes in place of the logs."""
+    from idtool.api.data import load_experiment
+    from idtool.api.model import Model
+    from idtool.api.reduce import check_reduction_file, reduce_experiment
+    from idtool.reporting.terminal import Terminal
+    from idtool.reporting.terminal.reduction import show_reduction
+
+    terminal = Terminal(quiet, as_json)
+    file = check_reduction_file(out)
+    with terminal.progress() as progress:
+        model, logs = Model.with_logs(urdf, logs, config)
+        experiment = load_experiment(model, logs, (), holdout, progress)
+        result = reduce_experiment(experiment, file, holdout, progress)
+    show_reduction(terminal, result)
+    finish(terminal, result, {})

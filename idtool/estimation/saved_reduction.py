@@ -1,0 +1,304 @@
+"""`SavedReduction`: reduced logs on disk, from which models are fitted without the logs.
+
+A file is a ZIP archive that is not compressed, so that its size bounds what it takes to read it: ``header.json``, and
+arrays in numpy's format, of numbers only. Its name ends in ``.idr``.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from idtool.common.arrays import Array
+from idtool.common.exceptions import LogError
+from idtool.common.notice import Notice
+from idtool.common.outputs import OutputError
+from idtool.common.provenance import InputFile
+from idtool.common.version import VERSION
+from idtool.estimation.dataset.envelope import Envelope
+from idtool.estimation.dataset.extreme_rows import ExtremeRows
+from idtool.estimation.dataset.reduced_logs import ReducedLog
+from idtool.estimation.dataset.reduced_part import ReducedPart
+from idtool.estimation.dataset.reduction import Factor
+
+CoefficientKey = tuple[str, str, str, tuple[float, ...]]  # effect, owner, name and instance
+
+SUFFIX = ".idr"
+
+_VERSION = 1  # of the format
+_HEADER = "header.json"
+_MAX_HEADER = 64 << 20  # bytes
+_EXCLUDED = -1  # in place of the number of a block: the rows that don't count
+
+
+@dataclass(frozen=True)
+class SavedReduction:
+    """Logs that were reduced together.
+
+    Attributes
+    ----------
+    settings
+        What their rows depend on; see `row_settings`.
+    coefficients
+        Keys of the unknowns.
+    band_hz
+        Cut-off of the low-pass [Hz].
+    delay
+        Delay of the commands that was fitted [s]; None: none was.
+    holdout
+        Share at the end of every log that was kept for validation.
+    notices
+        Notices about the logs.
+    files
+        The URDF, the configuration and the logs.
+    logs
+        The logs.
+    """
+
+    settings: Mapping[str, Any]
+    coefficients: tuple[CoefficientKey, ...]
+    band_hz: float
+    delay: float | None
+    holdout: float
+    notices: tuple[Notice, ...]
+    files: tuple[InputFile, ...]
+    logs: tuple[ReducedLog, ...]
+
+
+def write_reduction(path: Path, reduction: SavedReduction) -> None:
+    """Write a file; an existing one stays until it is complete.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        try:
+            with zipfile.ZipFile(temporary, "w") as archive:
+                archive.writestr(_HEADER, json.dumps(_header(reduction), allow_nan=False))
+                for name, array in _arrays(reduction):
+                    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                        np.lib.format.write_array(member, array, allow_pickle=False)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(path, f"cannot be written to ({error.strerror}); give another --out") from None
+
+
+def read_reduction(path: Path) -> SavedReduction:
+    """Read a file.
+
+    Raises
+    ------
+    LogError
+        If it cannot be read, is no such file or damaged, or of a format that this version does not know.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            _check_size(path, archive)
+            return _read(path, archive)
+    except OSError as error:
+        raise LogError(path, f"cannot be read: {error.strerror or error}") from None
+    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, IndexError, EOFError, NotImplementedError):
+        raise LogError(path, "is not a reduction, or is damaged; make it again with idtool reduce") from None
+
+
+def _check_size(path: Path, archive: zipfile.ZipFile) -> None:
+    """Refuse an archive that is larger than its file."""
+    members = archive.infolist()
+    if any(member.compress_type != zipfile.ZIP_STORED for member in members):
+        raise ValueError
+    if sum(member.file_size for member in members) > path.stat().st_size:
+        raise ValueError
+
+
+def _header(reduction: SavedReduction) -> dict[str, Any]:
+    """All but the arrays, as plain data."""
+    return {
+        "format": "idtool reduction",
+        "version": _VERSION,
+        "idtool": VERSION,
+        "settings": reduction.settings,
+        "coefficients": reduction.coefficients,
+        "band_hz": reduction.band_hz,
+        "delay": reduction.delay,
+        "holdout": reduction.holdout,
+        "notices": [asdict(notice) for notice in reduction.notices],
+        "files": [asdict(file) for file in reduction.files],
+        "logs": [_log_header(log) for log in reduction.logs],
+    }
+
+
+def _log_header(log: ReducedLog) -> dict[str, Any]:
+    return {
+        "path": str(log.path),
+        "unknown_torque": log.unknown_torque,
+        "has_commands": log.has_commands,
+        "row_step": log.row_step,
+        "block_rows": log.block_rows,
+        "train": [_part_header(part) for part in log.train],
+        "held_out": [_part_header(part) for part in log.held_out],
+    }
+
+
+def _part_header(part: ReducedPart) -> dict[str, Any]:
+    posture = part.posture
+    return {
+        "samples": part.samples,
+        "rows": part.rows,
+        "posture": {"start": posture.start, "stop": posture.stop, "bins": posture.bins, "curves": list(posture.low)},
+        "series": len(part.series),
+    }
+
+
+def _parts(logs: Sequence[ReducedLog]) -> Iterator[tuple[str, ReducedPart]]:
+    """Each part of the logs with the name of its arrays."""
+    for i, log in enumerate(logs):
+        for kind, parts in (("train", log.train), ("held_out", log.held_out)):
+            for k, part in enumerate(parts):
+                yield f"{i}/{kind}/{k}", part
+
+
+def _arrays(reduction: SavedReduction) -> Iterator[tuple[str, NDArray[Any]]]:
+    """The arrays with their names."""
+    for name, part in _parts(reduction.logs):
+        yield f"{name}/is_compared", part.is_compared
+        yield f"{name}/torque_sums", part.torque_sums
+        yield f"{name}/squares_above_band", part.squares_above_band
+        for curve, low in part.posture.low.items():
+            yield f"{name}/posture/{curve}", np.stack([low, part.posture.high[curve]])
+        yield f"{name}/extremes", part.extremes.extremes
+        blocks = {**part.blocks, _EXCLUDED: part.excluded}
+        yield f"{name}/blocks", np.array(list(blocks))
+        for j in range(len(part.is_compared)):
+            factors = [block[j] for block in blocks.values()]
+            yield f"{name}/{j}/lengths", np.array([len(factor.R) for factor in factors])
+            yield f"{name}/{j}/rows", np.array([factor.rows for factor in factors], dtype=np.float64)
+            yield f"{name}/{j}/independent", np.array([factor.independent for factor in factors])
+            yield f"{name}/{j}/R", np.concatenate([factor.R for factor in factors])
+            yield f"{name}/{j}/extreme_rows", part.extremes.rows[j]
+            for k, series in enumerate(part.series):
+                yield f"{name}/{j}/series_{k}", series[j]
+
+
+def _read(path: Path, archive: zipfile.ZipFile) -> SavedReduction:
+    header = json.loads(archive.read(_HEADER))
+    if header["format"] != "idtool reduction":
+        raise ValueError
+    if header["version"] != _VERSION:
+        what = f"has version {header['version']} of the format; this is idtool {VERSION}, which reads {_VERSION}"
+        raise LogError(path, f"{what}: make it again with idtool reduce")
+
+    def array(name: str) -> NDArray[Any]:
+        data = io.BytesIO(archive.read(f"{name}.npy"))
+        return np.lib.format.read_array(data, allow_pickle=False)
+
+    logs = []
+    for i, log in enumerate(header["logs"]):
+        parts: dict[str, list[ReducedPart]] = {"train": [], "held_out": []}
+        for kind, of_kind in parts.items():
+            for k, part in enumerate(log[kind]):
+                of_kind.append(_PartReader(f"{i}/{kind}/{k}", array).part(part))
+        logs.append(
+            ReducedLog(
+                path=Path(log["path"]),
+                unknown_torque=tuple(log["unknown_torque"]),
+                has_commands=bool(log["has_commands"]),
+                row_step=float(log["row_step"]),
+                block_rows=int(log["block_rows"]),
+                train=tuple(parts["train"]),
+                held_out=tuple(parts["held_out"]),
+            )
+        )
+    return SavedReduction(
+        settings=dict(header["settings"]),
+        coefficients=tuple(map(_coefficient_key, header["coefficients"])),
+        band_hz=float(header["band_hz"]),
+        delay=None if header["delay"] is None else float(header["delay"]),
+        holdout=float(header["holdout"]),
+        notices=tuple(Notice(**notice) for notice in header["notices"]),
+        files=tuple(InputFile(**file) for file in header["files"]),
+        logs=tuple(logs),
+    )
+
+
+def _coefficient_key(plain: Sequence[Any]) -> CoefficientKey:
+    effect, owner, name, instance = plain
+    return str(effect), str(owner), str(name), tuple(map(float, instance))
+
+
+class _PartReader:
+    """Reader of a part of a log.
+
+    Parameters
+    ----------
+    name
+        Name of its arrays.
+    array
+        Function that reads an array by its name.
+    """
+
+    def __init__(self, name: str, array: Callable[[str], NDArray[Any]]) -> None:
+        self._name = name
+        self._array = array
+
+    def part(self, header: Mapping[str, Any]) -> ReducedPart:
+        """The part; ValueError or KeyError if something does not fit."""
+        is_compared = self._array(f"{self._name}/is_compared").astype(bool)
+        nv = len(is_compared)
+        posture = Envelope.of_stretches(**{key: header["posture"][key] for key in ("start", "stop", "bins")})
+        for curve in header["posture"]["curves"]:
+            posture.low[curve], posture.high[curve] = self._numbers(f"posture/{curve}")
+        numbers = self._array(f"{self._name}/blocks").astype(int).tolist()
+        factors = [self._factors(j) for j in range(nv)]
+        blocks = {}
+        for number, *of_joints in zip(numbers, *factors, strict=True):
+            blocks[number] = tuple(of_joints)
+        excluded = blocks.pop(_EXCLUDED)
+        rows = [self._numbers(f"{j}/extreme_rows") for j in range(nv)]
+        extremes = ExtremeRows([own.shape[2] for own in rows], posture.bins)
+        extremes.rows, extremes.extremes = rows, self._numbers("extremes")
+        series = [[self._numbers(f"{j}/series_{k}") for j in range(nv)] for k in range(header["series"])]
+        return ReducedPart(
+            excluded=excluded,
+            posture=posture,
+            extremes=extremes,
+            is_compared=is_compared,
+            torque_sums=self._numbers("torque_sums"),
+            squares_above_band=self._numbers("squares_above_band"),
+            samples=int(header["samples"]),
+            rows=int(header["rows"]),
+            blocks=blocks,
+            series=series,
+        )
+
+    def _numbers(self, name: str) -> Array:
+        array = self._array(f"{self._name}/{name}")
+        if array.dtype != np.float64:
+            raise ValueError
+        return array
+
+    def _factors(self, joint: int) -> list[Factor]:
+        """The factors of a joint, block after block."""
+        lengths = self._array(f"{self._name}/{joint}/lengths").astype(int)
+        R = self._numbers(f"{joint}/R")
+        if (lengths < 0).any() or lengths.sum() != len(R):
+            raise ValueError
+        triangles = np.split(R, np.cumsum(lengths)[:-1])
+        rows, independent = self._numbers(f"{joint}/rows"), self._numbers(f"{joint}/independent")
+        factors = []
+        for triangle, count, worth in zip(triangles, rows.tolist(), independent.tolist(), strict=True):
+            factors.append(Factor(triangle, count, worth))
+        return factors
