@@ -10,10 +10,11 @@ from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress
 from idtool.common.exceptions import ConfigError, LogError
+from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.data.logs import JointLog
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.reduced_experiment import prepare_reduced
-from idtool.estimation.saved_reduction import SUFFIX, SavedReduction, read_reduction
+from idtool.estimation.saved_reduction import SavedReduction, read_reduction
 
 LogSource = Log | Source
 Logs = LogSource | Sequence[LogSource]
@@ -52,13 +53,11 @@ def load_experiment(
     """
     progress("reading", 0.0)
     model = as_model(model)
-    reductions = [path for log in (*as_list(logs), *as_list(validate)) if (path := _reduction_path(log))]
-    if reductions and not takes_reductions:
-        raise LogError(reductions[0], "is a reduction, which has no samples; give the log")
+    has_reductions = any(_reduction_path(log) for log in (*as_list(logs), *as_list(validate)))
     training_logs = [_record(log, model) for log in as_list(logs)]
     validation_logs = [_record(log, model) for log in as_list(validate)]
     try:
-        if reductions:
+        if has_reductions and takes_reductions:
             return _with_reductions(model, as_list(logs), as_list(validate), holdout)
         return prepare(model.robot, model.settings, training_logs, validation_logs, holdout, transform)
     except ConfigError as error:
@@ -70,7 +69,7 @@ def load_experiment(
 
 def _reduction_path(log: LogSource) -> Path | None:
     """The path of a file of `idtool reduce`, which is known by its name; None for others."""
-    if isinstance(log, Log) or Path(log).suffix.lower() != SUFFIX:
+    if isinstance(log, Log) or Path(log).suffix.lower() != REDUCTION_SUFFIX:
         return None
     return Path(log)
 

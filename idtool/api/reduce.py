@@ -6,13 +6,14 @@ import os
 from pathlib import Path
 
 from idtool.api.data import DEFAULT_HOLDOUT, Logs, load_experiment
-from idtool.api.model import Model, Source
+from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress, ignore_progress, notice_lines
 from idtool.common.exceptions import ConfigError
+from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.common.outputs import check_file
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.reduced_experiment import save_reduction
-from idtool.estimation.saved_reduction import SUFFIX, write_reduction
+from idtool.estimation.saved_reduction import SavedReduction, write_reduction
 from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.reduction import ReducedLogReport, ReductionReport
 
@@ -64,8 +65,13 @@ def reduce(
     """
     report_progress = progress or ignore_progress
     file = check_reduction_file(Path(out))
+    model = as_model(model)
+    model.settings.require_only_joints("reduce")  # the noise of other rows is that of all logs together
     experiment = load_experiment(model, logs, (), holdout, report_progress)
-    return reduce_experiment(experiment, file, holdout, report_progress)
+    reduction = save_reduction(experiment, holdout, report_progress)
+    report_progress("writing", 0.0)
+    write_reduction(file, reduction)
+    return _result(experiment, reduction, file)
 
 
 def check_reduction_file(file: Path) -> Path:
@@ -76,30 +82,14 @@ def check_reduction_file(file: Path) -> Path:
     IdtoolError
         If its name does not end in ``.idr``, or it cannot be written.
     """
-    if file.suffix.lower() != SUFFIX:
-        raise ConfigError("--out", f"{file} does not end in {SUFFIX}; give a file that does")
+    if file.suffix.lower() != REDUCTION_SUFFIX:
+        raise ConfigError("--out", f"{file} does not end in {REDUCTION_SUFFIX}; give a file that does")
     check_file(file, [])
     return file
 
 
-def reduce_experiment(experiment: Experiment, file: Path, holdout: float, progress: Progress) -> ReductionResult:
-    """Reduce the logs of an experiment and write the file.
-
-    Parameters
-    ----------
-    experiment
-        Model and data.
-    file, holdout, progress
-        As in `reduce`.
-
-    Raises
-    ------
-    IdtoolError
-        As in `reduce`.
-    """
-    reduction = save_reduction(experiment, holdout, progress)
-    progress("writing", 0.0)
-    write_reduction(file, reduction)
+def _result(experiment: Experiment, reduction: SavedReduction, file: Path) -> ReductionResult:
+    """What was written."""
     logs = []
     for log in reduction.logs:
         samples = {held_out: sum(part.samples for part in log.parts(held_out)) for held_out in (False, True)}
@@ -110,7 +100,7 @@ def reduce_experiment(experiment: Experiment, file: Path, holdout: float, progre
         urdf=str(experiment.model.robot.path),
         joints=experiment.equation.joints,
         band_hz=reduction.band_hz,
-        holdout=holdout,
+        holdout=reduction.holdout,
         logs=tuple(logs),
         **notice_fields((*experiment.model.notices, *reduction.notices)),
     )

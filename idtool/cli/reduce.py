@@ -38,9 +38,8 @@ def reduce_command(
     quiet: QuietOption = False,
 ) -> None:
     """Reduce logs to a small file, which idtool fit takes in place of the logs."""
-    from idtool.api.data import load_experiment
     from idtool.api.model import Model
-    from idtool.api.reduce import check_reduction_file, reduce_experiment
+    from idtool.api.reduce import check_reduction_file, reduce
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.reduction import show_reduction
 
@@ -48,7 +47,6 @@ def reduce_command(
     file = check_reduction_file(out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
-        experiment = load_experiment(model, logs, (), holdout, progress)
-        result = reduce_experiment(experiment, file, holdout, progress)
+        result = reduce(model, logs, file, holdout=holdout, progress=progress)
     show_reduction(terminal, result)
     finish(terminal, result, {})

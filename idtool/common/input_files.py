@@ -11,6 +11,8 @@ from idtool.common.names import closest_name, printable
 
 _MAX_FILES = 10_000  # of a folder, among which a similar name is looked for
 
+REDUCTION_SUFFIX = ".idr"  # of files of `idtool reduce`
+
 
 def read_error_text(path: Path, error: OSError) -> str:
     """Reason why a file cannot be read, and advice."""

@@ -33,6 +33,8 @@ from idtool.robot.config import Config
 
 BATCH_SAMPLES = 8192  # samples
 WIDE_BAND_FACTOR = 5.0  # the signals' own filter, in units of the band
+# Cut-off in units of the band's: decimated to four times the band, what lies above 2.4 bands would fold into 1.6 of it.
+_ANTI_ALIASING = 1.6
 _DEFAULT_CUTOFF = 40.0  # Hz
 _MAX_JITTER = 0.1  # rms of the stamps' jitter, in samples, above which differentiating q is not trusted
 _MIN_LAG = 0.25  # samples of lag of a measured velocity that are worth a word
@@ -144,6 +146,8 @@ class Signals:
         The low-pass's cut-off [Hz].
     low_pass, full_rate_low_pass
         The low-pass: one that decimates to its band, one that keeps every sample.
+    anti_aliasing
+        Low-pass that decimates as `low_pass` does, but leaves the band as it is; None: nothing is decimated.
     velocity_from_position
         Per joint, whether v comes from q; else it is the measured one, its lag undone.
     lag
@@ -219,6 +223,7 @@ class Signals:
         stride = max(1, int(rate / (4 * self.band_hz)))
         self.low_pass = LowPass(self.band_hz, config.filter.order, log.dt, stride)
         self.full_rate_low_pass = LowPass(self.band_hz, config.filter.order, log.dt)
+        self.anti_aliasing = LowPass(_ANTI_ALIASING * self.band_hz, 8, log.dt, stride) if stride > 1 else None
         wide = WIDE_BAND_FACTOR * self.band_hz
         self._wide = LowPass(wide, config.filter.order, log.dt) if wide < 0.4 * rate else None
         self.channels = Channels(log, joints)

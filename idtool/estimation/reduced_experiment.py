@@ -118,7 +118,9 @@ def save_reduction(experiment: Experiment, holdout: float, progress: Progress) -
     LogError
         If a log is too short.
     """
-    _check_reducible(experiment)
+    if not is_reducible(experiment):
+        what = "has effects that depend on other parameters or act on the measured torque"
+        raise ConfigError("effects", f"{what}; idtool reduce cannot handle them, so fit the logs themselves")
     given = experiment.config.controller
     experiment, delay, _ = with_delay(experiment, progress)
     model_notices = set(experiment.model.notices)
@@ -135,13 +137,6 @@ def save_reduction(experiment: Experiment, holdout: float, progress: Progress) -
         files=experiment.sources,
         logs=reduce_logs(experiment, progress),
     )
-
-
-def _check_reducible(experiment: Experiment) -> None:
-    experiment.config.require_only_joints("reduce")  # the noise of other rows is that of all logs together
-    if not is_reducible(experiment):
-        what = "has effects that depend on other parameters or act on the measured torque"
-        raise ConfigError("effects", f"{what}; idtool reduce cannot handle them, so fit the logs themselves")
 
 
 def prepare_reduced(
@@ -172,7 +167,7 @@ def prepare_reduced(
     first = every[0][1]
     config = _with_fitted_settings(config, first)
     model = build_model(robot, config, first.settings["joints"])
-    settings = row_settings(model, config, first.band_hz)
+    settings = row_settings(model, config, config.filter.cutoff_hz or first.band_hz)
     equation = LinearModel(model.names, build_effects(model, config))
     for path, reduction in every:
         _check_settings(path, reduction, settings, equation)

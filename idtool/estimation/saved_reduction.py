@@ -32,8 +32,6 @@ from idtool.estimation.dataset.reduction import Factor
 
 CoefficientKey = tuple[str, str, str, tuple[float, ...]]  # effect, owner, name and instance
 
-SUFFIX = ".idr"
-
 _VERSION = 1  # of the format
 _HEADER = "header.json"
 _MAX_HEADER = 64 << 20  # bytes

@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import BinaryIO, Protocol, cast
 
 from idtool.common.exceptions import LogError
-from idtool.common.input_files import missing_file_advice
+from idtool.common.input_files import REDUCTION_SUFFIX, missing_file_advice
 from idtool.common.names import printable, suggestion
 from idtool.common.outputs import OutputError, check_file
 from idtool.common.provenance import source_from_file
@@ -140,6 +140,8 @@ def _read(
         raise LogError(path, ros1_message(path))
     if head.startswith(_GZIP):
         raise LogError(path, f"is compressed with gzip; run 'gunzip -k {shlex.quote(str(path))}' first")
+    if path.suffix.lower() == REDUCTION_SUFFIX:
+        raise LogError(path, "is a reduction, which has no samples; give the log")
     raise LogError(path, f"is not a log in a supported format ({' or '.join(log_suffixes())}; CSV must be UTF-8)")
 
 

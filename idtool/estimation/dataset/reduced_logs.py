@@ -103,9 +103,7 @@ def reduce_logs(experiment: Experiment, progress: Progress) -> tuple[ReducedLog,
 
         def rows() -> Iterator[tuple[list[Array], Shares]]:
             for batch, span in zip(part.batches, part.batches.spans, strict=True):
-                times = run.signals.log.start + batch.motion.t[batch.before : len(batch.motion.t) - batch.after]
-                keep_series = (part.log, span.start) in series
-                yield reduced.add_batch(equation, batch, run.signals.full_rate_low_pass, times, keep_series)
+                yield reduced.add_batch(equation, run.signals, batch, (part.log, span.start) in series)
 
         reduced.blocks = dict(cut_into_blocks(rows(), block_rows, run.signals.low_pass.redundancy, part.first_row))
         return reduced

@@ -1,7 +1,8 @@
 """`ReducedPart`: what is kept of a part of a log for fits and their evaluation. It does not grow with the log.
 
 Letters: m_j coefficients of row j, Y_j (n, m_j) its columns and tau_j its torque in the band, at n filtered samples of
-N at the logged rate; measured: the measured torque in the band; above: the logged torque less that.
+N at the logged rate; measured: the measured torque in the band; above: the logged torque less that, without what
+decimation would fold into the band.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.filters import LowPass
-from idtool.data.signals import Batch, Motion
+from idtool.data.signals import Batch, Motion, Signals
 from idtool.dynamics.regressor import LinearModel
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.blocks import merge_reductions
@@ -100,7 +101,7 @@ class ReducedPart:
         self.series += other.series
 
     def add_batch(
-        self, equation: LinearModel, batch: Batch, full_rate: LowPass, times: Array, keep_series: bool
+        self, equation: LinearModel, signals: Signals, batch: Batch, keep_series: bool
     ) -> tuple[list[Array], Shares]:
         """Add all but the blocks of a batch.
 
@@ -108,12 +109,10 @@ class ReducedPart:
         ----------
         equation
             The torque equation.
+        signals
+            The log.
         batch
-            The batch.
-        full_rate
-            Low-pass of the same band that keeps every sample.
-        times
-            Times of its N filtered samples [s], shape (N,).
+            A batch of it.
         keep_series
             If true, the rows are added to the series.
 
@@ -127,7 +126,8 @@ class ReducedPart:
         columns = equation.filtered_columns(batch, row_filter)
         is_compared = equation.compared_rows(batch, row_filter)
 
-        measured = _filtered_at_every_sample(motion.tau, batch, full_rate)
+        times = signals.log.start + motion.t[inner]
+        measured = _filtered(motion.tau, batch, signals.full_rate_low_pass)
         above = motion.logged_tau[:, inner] - measured
         self.samples += measured.shape[1]
         self.is_compared |= is_compared
@@ -136,7 +136,9 @@ class ReducedPart:
         self.posture.add(times, _posture_curves(motion, inner))
 
         stride = batch.low_pass.stride
-        measured, above = measured[:, ::stride], above[:, ::stride]
+        measured = measured[:, ::stride]
+        if signals.anti_aliasing is not None:  # else, noise far above the band would fold into it
+            above = _filtered(motion.logged_tau, batch, signals.anti_aliasing) - measured
         self.rows += measured.shape[1]
         bins = self.posture.bins_of(times[::stride])
         prior = equation.prior
@@ -155,11 +157,11 @@ class ReducedPart:
         return rows, row_filter.shares
 
 
-def _filtered_at_every_sample(x: Array, batch: Batch, full_rate: LowPass) -> Array:
-    """A signal of a batch's motion, shape (nv, before + N + after), in the band, shape (nv, N)."""
-    before, after = min(batch.before, full_rate.reach), min(batch.after, full_rate.reach)
+def _filtered(x: Array, batch: Batch, low_pass: LowPass) -> Array:
+    """A signal of a batch's motion, shape (nv, before + N + after), through another filter than the batch's."""
+    before, after = min(batch.before, low_pass.reach), min(batch.after, low_pass.reach)
     surroundings = slice(batch.before - before, x.shape[-1] - batch.after + after)
-    return full_rate(x[..., surroundings], before, after)
+    return low_pass(x[..., surroundings], before, after)
 
 
 def _posture_curves(motion: Motion, inner: slice) -> dict[str, Array]:

@@ -1,0 +1,282 @@
+"""Files of `idtool reduce`: fits from them are those from the logs; what does not fit or is damaged is refused."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from commands import LEG, TRAIN, VALIDATE, idtool
+from paths import SAMPLES
+
+import idtool as package
+
+FIGURES = ("bodies", "friction", "friction_intervals", "rms", "rms_raw", "noise", "samples", "regularization", "nrms")
+UNCERTAINTY = ("torque_standard_error", "torque_standard_error_largest", "torque_undetermined", "independent_samples")
+
+
+@pytest.fixture(scope="module")
+def reduction(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample leg's log, reduced."""
+    file = tmp_path_factory.mktemp("reduced") / "train.idr"
+    package.reduce(LEG, TRAIN, file)
+    return file
+
+
+@pytest.fixture(scope="module")
+def validation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The sample leg's other log, reduced."""
+    file = tmp_path_factory.mktemp("reduced") / "validate.idr"
+    package.reduce(LEG, VALIDATE, file, holdout=0.0)
+    return file
+
+
+def settings(**changes: object) -> dict[str, Any]:
+    """The sample leg's configuration with changes."""
+    config = yaml.safe_load((SAMPLES / "leg.yaml").read_text())
+    return {**config, **changes}
+
+
+def assert_same_figures(a: Any, b: Any, where: str = "") -> None:
+    """Plain data are equal but for rounding of numbers."""
+    if isinstance(a, dict):
+        assert a.keys() == b.keys(), where
+        for key, value in a.items():
+            assert_same_figures(value, b[key], f"{where}.{key}")
+    elif isinstance(a, list):
+        assert len(a) == len(b), where
+        for i, (x, y) in enumerate(zip(a, b, strict=True)):
+            assert_same_figures(x, y, f"{where}[{i}]")
+    elif isinstance(a, float):
+        assert a == pytest.approx(b, rel=1e-9, abs=1e-12), where
+    else:
+        assert a == b, where
+
+
+PRIORS: dict[str, dict[str, Any]] = {
+    "as configured": {},
+    "another weight": {"regularization": {"kind": "entropic", "weight": 0.01}},
+    "another prior": {"regularization": {"kind": "euclidean", "weight": 1e-3}},
+    "another constraint set": {"constraints": "full"},
+    "a known mass": {"known": {"total_mass": 5.0}},
+}
+
+
+@pytest.mark.parametrize("changes", PRIORS.values(), ids=PRIORS)
+def test_a_fit_is_that_from_the_log(reduction: Path, changes: dict[str, Any]) -> None:
+    model = package.Model(LEG, settings(**changes))
+    from_log = package.fit(model, TRAIN, quick=True).to_json()
+    from_reduction = package.fit(model, reduction, quick=True).to_json()
+    for key in FIGURES:
+        assert_same_figures(from_reduction[key], from_log[key], key)
+    for key in UNCERTAINTY:
+        assert_same_figures(from_reduction["uncertainty"][key], from_log["uncertainty"][key], key)
+
+
+def test_a_full_fit_says_what_it_cannot_do(reduction: Path) -> None:
+    """The sources of the parameters are there; simulation and the check for bias need the samples."""
+    result = package.fit(LEG, reduction)
+    assert result.base_parameters is not None
+    assert result.simulation is None
+    (notice,) = [notice for notice in result.notices if notice.code == "bias_unchecked"]
+    assert "needs the logs" in notice.message
+
+
+def test_two_logs_are_compared(reduction: Path, validation: Path) -> None:
+    """Each of them has been reduced alone."""
+    both = package.fit(LEG, [reduction, validation])
+    assert both.repeatability is not None
+    assert set(both.repeatability.logs) == {TRAIN.name, VALIDATE.name}
+
+
+def test_a_log_is_left_out_for_validation(reduction: Path, validation: Path) -> None:
+    """Then nothing is held out of the other, though a part of it was when it was reduced."""
+    own = package.fit(LEG, reduction, validate=validation, quick=True)
+    from_logs = package.fit(LEG, TRAIN, validate=VALIDATE, quick=True)
+    assert own.samples.validation == from_logs.samples.validation
+    assert own.samples.train == pytest.approx(from_logs.samples.train, rel=0.02)  # the filter's ends are lost
+    for name, body in from_logs.bodies.items():
+        assert own.bodies[name].mass == pytest.approx(body.mass, rel=0.02)
+    assert own.rms.validation["overall"] == pytest.approx(from_logs.rms.validation["overall"], rel=0.02)
+
+
+def moved_hip(urdf: str) -> str:
+    """The URDF with its hip a centimetre elsewhere."""
+    joint = urdf.index('<joint name="hip"')
+    start = urdf.index('xyz="', joint) + len('xyz="')
+    return f"{urdf[:start]}0.01 {urdf[start:].split(maxsplit=1)[1]}"
+
+
+SPRING = {"effect": "parallel_spring", "joint": "knee", "parameters": {"stiffness": 1.0, "rest_position": 0.0}}
+CHANGES: dict[str, tuple[dict[str, Any], str]] = {
+    "filter": ({"filter": {"cutoff_hz": 20.0}}, "filter.cutoff_hz: 40.0, which is now 20.0"),
+    "order": ({"filter": {"order": 2}}, "filter.order: 4, which is now 2"),
+    "gravity": ({"gravity": [0, 0, -1.62]}, "gravity: "),
+    "friction": ({"friction": {"offset": True}}, "friction.abad: "),
+    "velocity": ({"velocity": "differentiated"}, "velocity: auto, which is now differentiated"),
+    "effect": ({"effects": [SPRING]}, "effects: "),
+    "joints": ({"joints": ["hip", "knee"]}, "joints: "),
+}
+
+
+@pytest.mark.parametrize(("changes", "reason"), CHANGES.values(), ids=CHANGES)
+def test_other_rows_are_refused_with_the_reason(reduction: Path, changes: dict[str, Any], reason: str) -> None:
+    with pytest.raises(package.LogError) as refusal:
+        package.fit(package.Model(LEG, settings(**changes)), reduction)
+    assert f"train.idr: was made with {reason}" in str(refusal.value)
+    assert str(refusal.value).endswith("; make it again with idtool reduce")
+
+
+def test_another_geometry_is_refused(reduction: Path, tmp_path: Path) -> None:
+    """But other inertias are a prior, which may be another one."""
+    urdf, config = tmp_path / "leg.urdf", tmp_path / "leg.yaml"
+    config.write_text((SAMPLES / "leg.yaml").read_text())
+    urdf.write_text(moved_hip(LEG.read_text()))
+    refusal = idtool("fit", urdf, reduction, "--out", tmp_path / "out")
+    assert refusal.code == 2
+    assert refusal.err.startswith(f"error: {reduction}: was made with urdf.hip.position: ")
+    assert refusal.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    urdf.write_text(LEG.read_text().replace('mass value="', 'mass value="1'))
+    assert idtool("fit", urdf, reduction, "--quick", "--out", tmp_path / "out").code == 0
+
+
+def damaged(change: Callable[[bytes], bytes]) -> Callable[[Path], bytes]:
+    return lambda file: change(file.read_bytes())
+
+
+def rewritten(member: str, change: Callable[[bytes], bytes], compression: int = zipfile.ZIP_STORED) -> Any:
+    """A file with one of its members changed."""
+
+    def rewrite(file: Path) -> bytes:
+        output = io.BytesIO()
+        with zipfile.ZipFile(file) as old, zipfile.ZipFile(output, "w", compression) as new:
+            for name in old.namelist():
+                data = old.read(name)
+                new.writestr(name, change(data) if name == member else data)
+        return output.getvalue()
+
+    return rewrite
+
+
+def of_objects(data: bytes) -> bytes:
+    """An array of pickled objects."""
+    output = io.BytesIO()
+    np.save(output, np.array([print], dtype=object), allow_pickle=True)
+    return output.getvalue()
+
+
+def header_with(**changes: object) -> Callable[[bytes], bytes]:
+    return lambda data: json.dumps({**json.loads(data), **changes}).encode()
+
+
+ARRAY = "0/train/0/0/R.npy"
+DAMAGE: dict[str, Callable[[Path], bytes]] = {
+    "empty": damaged(lambda data: b""),
+    "text": damaged(lambda data: b"t,q_hip\n0,1\n"),
+    "cut off": damaged(lambda data: data[: len(data) // 2]),
+    "a byte changed": damaged(lambda data: data[:5000] + bytes([data[5000] ^ 1]) + data[5001:]),
+    "compressed": rewritten("header.json", lambda data: data, zipfile.ZIP_DEFLATED),
+    "pickled objects": rewritten(ARRAY, of_objects),
+    "a shorter array": rewritten(ARRAY, lambda data: data[:-800]),
+    "no array": rewritten(ARRAY, lambda data: b""),
+    "no JSON": rewritten("header.json", lambda data: b"{"),
+    "a list": rewritten("header.json", lambda data: b"[1]"),
+    "another format": rewritten("header.json", header_with(format="another")),
+    "no logs": rewritten("header.json", header_with(logs=None)),
+    "settings that are none": rewritten("header.json", header_with(settings=3)),
+    "numbers that are none": rewritten("header.json", header_with(band_hz="wide")),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
+def test_a_damaged_file_is_refused_in_one_line(
+    reduction: Path, tmp_path: Path, damage: Callable[[Path], bytes]
+) -> None:
+    file = tmp_path / "log.idr"
+    file.write_bytes(damage(reduction))
+    result = idtool("fit", LEG, file, "--out", tmp_path / "out")
+    assert result.code == 2
+    assert result.err == f"error: {file}: is not a reduction, or is damaged; make it again with idtool reduce\n"
+
+
+def test_random_damage_never_gives_a_traceback(reduction: Path, tmp_path: Path, rng: np.random.Generator) -> None:
+    data = np.frombuffer(reduction.read_bytes(), np.uint8)
+    file = tmp_path / "log.idr"
+    places = [*rng.integers(0, len(data), 15), *(len(data) - rng.integers(1, 4000, 15))]
+    for place in places:
+        changed = data.copy()
+        changed[place] ^= rng.integers(1, 256)
+        file.write_bytes(changed.tobytes())
+        result = idtool("fit", LEG, file, "--quick", "--quiet", "--out", tmp_path / "out")
+        assert result.code in (0, 2), place
+        assert result.err.count("\n") == (1 if result.code else 0), place
+
+
+def test_a_later_format_is_named(reduction: Path, tmp_path: Path) -> None:
+    file = tmp_path / "log.idr"
+    file.write_bytes(rewritten("header.json", header_with(version=99))(reduction))
+    with pytest.raises(package.LogError, match="has version 99 of the format"):
+        package.fit(LEG, file)
+
+
+@pytest.mark.parametrize("command", ["validate", "diagnose", "study", "simulate", "inspect"])
+def test_other_commands_need_the_log(reduction: Path, tmp_path: Path, command: str) -> None:
+    arguments = [reduction] if command == "inspect" else [LEG, reduction, "--out", tmp_path / "out.csv"]
+    result = idtool(command, *arguments)
+    assert result.code == 2
+    assert result.err == f"error: {reduction}: is a reduction, which has no samples; give the log\n"
+
+
+def test_logs_and_reductions_do_not_mix(reduction: Path, tmp_path: Path) -> None:
+    result = idtool("fit", LEG, reduction, VALIDATE, "--out", tmp_path / "out")
+    assert result.code == 2
+    assert result.err == f"error: {VALIDATE}: is a log among reductions; make a reduction of it with idtool reduce\n"
+
+
+def test_another_holdout_is_refused(reduction: Path, tmp_path: Path) -> None:
+    result = idtool("fit", LEG, reduction, "--holdout", 0.5, "--out", tmp_path / "out")
+    assert result.code == 2
+    assert "--holdout" in result.err
+    assert "--holdout 0.3" in result.err
+
+
+def test_instruments_need_the_log(reduction: Path) -> None:
+    with pytest.raises(package.ConfigError, match="--method iv: needs the logs"):
+        package.fit(LEG, reduction, method="iv")
+
+
+def test_a_wrong_name_is_refused_before_the_work(tmp_path: Path) -> None:
+    result = idtool("reduce", LEG, TRAIN, "--out", tmp_path / "train.mcap")
+    assert result.code == 2
+    assert result.err == f"error: --out: {tmp_path / 'train.mcap'} does not end in .idr; give a file that does\n"
+
+
+def test_what_the_command_says(tmp_path: Path) -> None:
+    file = tmp_path / "leg.idr"
+    result = idtool("reduce", LEG, TRAIN, VALIDATE, "--holdout", 0.2, "--out", file, "--json")
+    assert result.code == 0
+    assert [log["path"] for log in result.json["logs"]] == [str(TRAIN), str(VALIDATE)]
+    assert result.json["bytes"] == file.stat().st_size
+    assert result.json["holdout"] == 0.2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["leg.idr"]
+
+
+SENSORS: dict[str, dict[str, Any]] = {
+    "effects": {"effects": [{"effect": "torque_gain", "joint": "knee", "parameters": {"gain": 1.1}}]},
+    "contacts": {"contacts": [{"name": "foot", "link": "shank_link", "point": [0, 0, -0.2], "flag": "contact_foot"}]},
+}
+
+
+@pytest.mark.parametrize(("key", "changes"), SENSORS.items(), ids=SENSORS)
+def test_rows_that_depend_on_the_fit_are_refused(tmp_path: Path, key: str, changes: dict[str, Any]) -> None:
+    with pytest.raises(package.IdtoolError) as refusal:
+        package.reduce(package.Model(LEG, settings(**changes)), TRAIN, tmp_path / "leg.idr")
+    assert key in str(refusal.value)
+    assert not (tmp_path / "leg.idr").exists()
