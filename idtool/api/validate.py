@@ -17,8 +17,9 @@ from idtool.common.names import suggestion
 from idtool.common.outputs import as_json
 from idtool.common.units import units_text
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
+from idtool.estimation.evaluation.reduced_errors import TorqueEvaluator
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
-from idtool.estimation.evaluation.torque_errors import Evaluation, evaluate
+from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.offset_notices import held_out_offset_notices
 from idtool.reporting.fit_report import validation_report
 from idtool.reporting.number_text import four_digits
@@ -210,7 +211,7 @@ def validate_experiment(
         settings = prior.settings if prior.configured else experiment.config.without_friction_values()
         models["prior"] = coefficients_of(prior.robot, settings, experiment)
         sources += tuple(replace(s, kind=f"prior's {s.kind}") for s in sources_of(prior.robot, prior.settings))
-    evaluation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
+    evaluation = TorqueEvaluator(experiment, progress).evaluate(models, held_out=True)
     rollouts = None
     if simulate:
         rollouts = evaluate_rollouts(experiment, models, held_out=True, progress=progress)

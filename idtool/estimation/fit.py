@@ -13,9 +13,9 @@ from idtool.estimation.command_delay import CommandDelay, command_delay, with_de
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduced_logs import ReducedLog, is_reducible, reduce_logs, training_blocks
-from idtool.estimation.evaluation.reduced_errors import evaluate_reduced
+from idtool.estimation.evaluation.reduced_errors import TorqueEvaluator
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
-from idtool.estimation.evaluation.torque_errors import Evaluation, evaluate
+from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.fit_notices import fit_notices
 from idtool.estimation.identification import Method, estimate_from_logs
 from idtool.estimation.offset_notices import held_out_offset_notices, offset_notices
@@ -182,12 +182,9 @@ def fit(
     clock.stop("identify")
 
     models = {"identified": estimate.theta, "prior": experiment.equation.prior}
-    if reduced is not None:
-        train = evaluate_reduced(experiment.equation, reduced, models, held_out=False)
-        validation = evaluate_reduced(experiment.equation, reduced, models, held_out=True)
-    else:
-        train = evaluate(experiment, models, held_out=False, progress=progress, angles=True)
-        validation = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
+    evaluator = TorqueEvaluator(experiment, progress, reduced)
+    train = evaluator.evaluate(models, held_out=False)
+    validation = evaluator.evaluate(models, held_out=True)
     held_out = validation.errors["identified"].samples > 0
     if not held_out:
         message = "no data were held out: the training error says little about prediction"

@@ -66,9 +66,12 @@ class ReducedLog:
 
 
 def is_reducible(experiment: Experiment) -> bool:
-    """True if the error of the torque is linear in the coefficients, and these are those of all logs."""
+    """True if the error of the torque is linear in the coefficients, and these are those of all logs.
+
+    A diagnosis, which keeps batches, compares errors second by second.
+    """
     equation = experiment.equation
-    if equation.depends_on_parameters or equation.has_sensors:
+    if equation.depends_on_parameters or equation.has_sensors or experiment.cache is not None:
         return False
     return not any(sensor.has_offset_by_log or sensor.has_drift for sensor in experiment.config.wrench_sensors)
 
@@ -110,8 +113,7 @@ def reduce_logs(experiment: Experiment, progress: Progress) -> tuple[ReducedLog,
 
     parts: dict[tuple[int, bool], ReducedPart] = {}
     stages = [f"reading {experiment.runs[i].signals.log.path.name}" for i, _ in kinds]
-    most_processes = None if experiment.cache is None else 1  # copies of this process would fill a cache of their own
-    for k, part in read_through(batches, reduce_part, stages, progress, most_processes):
+    for k, part in read_through(batches, reduce_part, stages, progress):
         if kinds[k] in parts:
             parts[kinds[k]].merge(part)
         else:

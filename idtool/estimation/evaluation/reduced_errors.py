@@ -15,10 +15,48 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.envelope import Trace
-from idtool.estimation.dataset.reduced_logs import ReducedLog
+from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.dataset.reduced_logs import ReducedLog, is_reducible, reduce_logs
 from idtool.estimation.dataset.reduced_part import ReducedPart
 from idtool.estimation.evaluation.spectrum import Correlations
-from idtool.estimation.evaluation.torque_errors import Errors, Evaluation, torque_deviation
+from idtool.estimation.evaluation.torque_errors import Errors, Evaluation, evaluate, torque_deviation
+
+
+class TorqueEvaluator:
+    """Torque errors of models on the logs of an experiment, which are read once, or again for every evaluation.
+
+    Once is enough if the error is linear in the coefficients; see `is_reducible`.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+    reduced
+        The logs, if they have been reduced with the same equation.
+    """
+
+    def __init__(self, experiment: Experiment, progress: Progress, reduced: Sequence[ReducedLog] | None = None) -> None:
+        self._experiment = experiment
+        self._progress = progress
+        self._reduced = reduced
+        if reduced is None and is_reducible(experiment):
+            self._reduced = reduce_logs(experiment, progress)
+
+    def evaluate(self, models: Mapping[str, Array], held_out: bool) -> Evaluation:
+        """Torque errors of models on the training or the held-out parts.
+
+        Parameters
+        ----------
+        models
+            Name to coefficients, shape (p,).
+        held_out
+            If true the held-out parts, else the training parts.
+        """
+        if self._reduced is None:
+            return evaluate(self._experiment, models, held_out, self._progress, angles=True)
+        return evaluate_reduced(self._experiment.equation, self._reduced, models, held_out)
 
 
 def evaluate_reduced(

@@ -20,7 +20,8 @@ from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.experiment import NOT_SIMULATED, Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import free_noise, weighted_rows
-from idtool.estimation.evaluation.torque_errors import Evaluation, evaluate
+from idtool.estimation.evaluation.reduced_errors import TorqueEvaluator
+from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.online.adapt import adapt, convergence, time_to
 from idtool.estimation.problem.certificate import Certificate
 from idtool.estimation.problem.estimate import solve, solve_locally
@@ -167,8 +168,9 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     models = {"identified": sets[tightest].theta, "prior": equation.prior}
     models |= {f"set {name}": entry.theta for name, entry in sets.items()}
     models |= {name: entry.theta for name, entry in estimators.items()}
-    train_errors = evaluate(experiment, models, held_out=False, progress=progress)
-    validation_errors = evaluate(experiment, models, held_out=True, progress=progress, angles=True)
+    evaluator = TorqueEvaluator(experiment, progress)
+    train_errors = evaluator.evaluate(models, held_out=False)
+    validation_errors = evaluator.evaluate(models, held_out=True)
 
     drawn = {name: problem_of[name] for name in CURVES if name in problem_of}
     counts, curves = learn(pool, total, validation, equation.active(), drawn, draws, rng, progress)

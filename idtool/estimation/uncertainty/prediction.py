@@ -85,12 +85,15 @@ def reduced_prediction(
             rows = drawn[..., :-2].reshape(-1, len(columns))
             rows = rows[np.isfinite(rows).all(axis=1)]
             variance, is_known = errors.variances(rows, columns)
-            share_known = np.mean(is_known) if len(rows) else 1.0
-            of_all, _ = errors.variances(factor.R[:, :-2], columns)
-            squares[j] += of_all.sum() if is_known.all() else factor.rows * share_known * variance[is_known].mean()
+            share_known = np.count_nonzero(is_known) / max(len(rows), 1)
+            if is_known.all():
+                of_all, _ = errors.variances(factor.R[:, :-2], columns)
+                squares[j] += of_all.sum()
+            else:
+                squares[j] += factor.rows / len(rows) * variance[is_known].sum()
             largest[j] = max(largest[j], float(np.max(variance[is_known], initial=0.0)))
             count[j] += factor.rows
-            unknown[j] += (1 - share_known) * factor.rows
+            unknown[j] += factor.rows * (1 - share_known) if len(rows) else 0.0
     known_count = np.maximum(count - unknown, 1)
     return Prediction(np.sqrt(squares / known_count), np.sqrt(largest), unknown / np.maximum(count, 1))
 
