@@ -381,6 +381,7 @@ class Signals:
             As in `batches`.
         """
         motion = self.motion(slice(span.start - span.before, span.stop + span.after), delays)
+        self.log.release_memory()
         return Batch(motion, span.before, span.after, low_pass)
 
     def velocity(self, part: slice) -> Array:

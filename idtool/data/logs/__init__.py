@@ -38,6 +38,7 @@ from idtool.data.logs.bag import METADATA, ROS1, SQLITE, is_bag, log_files, ros1
 from idtool.data.logs.log import SIGNALS, JointLog, make_log
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
 from idtool.data.logs.sensor_channels import SensorOptions
+from idtool.data.logs.stored_arrays import count_arrays
 
 __all__ = ["SIGNALS", "JointLog", "check_log_file", "is_bag", "log_suffixes", "make_log", "read_log", "write_log"]
 
@@ -108,6 +109,7 @@ def read_log(
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
     _apply_scale(log, scale)
+    count_arrays(log.signals.values())
     return replace(log, sources=tuple(sources))
 
 
@@ -201,4 +203,6 @@ def _apply_scale(log: JointLog, scale: Mapping[str, Mapping[str, float]]) -> Non
                 raise LogError(
                     log.path, f"log.scale: {signal}: the log has no joint {joint}; {suggestion(joint, log.joints)}"
                 )
-            log.signals[signal][:, log.joints.index(joint)] *= factor
+            column = log.signals[signal][:, log.joints.index(joint)]
+            for rows in log.blocks():
+                column[rows] *= factor

@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from idtool.common.arrays import Array
+from idtool.common.arrays import Array, Indices
 from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.log import JointLog, make_log
-
-_BLOCK = 1 << 14  # samples checked together
+from idtool.data.logs.stored_arrays import blocks_of
 
 
 def make_log_of_complete_samples(
@@ -63,12 +62,26 @@ def make_log_of_complete_samples(
 
 def _has_complete_samples(signals: Mapping[str, Array]) -> bool:
     """True if two samples in a row have every joint and signal that any sample has."""
-    columns = [column for array in signals.values() for column in array.T if not np.isnan(column).all()]
-    if not columns:
+    filled = [(array, _filled_columns(array)) for array in signals.values()]
+    filled = [(array, columns) for array, columns in filled if len(columns)]
+    if not filled:
         return True
-    for start in range(0, len(columns[0]), _BLOCK):
-        rows = slice(start, start + _BLOCK + 1)
-        complete = ~np.any([np.isnan(column[rows]) for column in columns], axis=0)
+    count = len(filled[0][0])
+    for rows in blocks_of([array for array, _ in filled], count):
+        overlapping_rows = slice(rows.start, rows.stop + 1)
+        complete = np.ones(min(rows.stop + 1, count) - rows.start, dtype=bool)
+        for array, columns in filled:
+            complete &= ~np.isnan(array[overlapping_rows][:, columns]).any(axis=1)
         if (complete[1:] & complete[:-1]).any():
             return True
     return False
+
+
+def _filled_columns(array: Array) -> Indices:
+    """Columns of an array, shape (N, nj), that have a value."""
+    is_filled = np.zeros(array.shape[1], dtype=bool)
+    for rows in blocks_of([array], len(array)):
+        is_filled |= ~np.isnan(array[rows]).all(axis=0)
+        if is_filled.all():
+            break
+    return np.flatnonzero(is_filled)

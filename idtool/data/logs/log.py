@@ -6,7 +6,7 @@ Letters: t time [s], q position [rad or m], v velocity [rad/s or m/s], tau torqu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import count_text
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
+from idtool.data.logs.stored_arrays import blocks_of, release_pages
 from idtool.data.logs.times import suspected_unit, time_unit_notice
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
@@ -130,7 +131,19 @@ class JointLog:
         if joint not in self.joints or signal not in self.signals:
             return False
         column = self.signals[signal][:, self.joints.index(joint)]
-        return bool(np.isfinite(column[:1]).any() or np.isfinite(column).any())
+        if np.isfinite(column[:1]).any():
+            return True
+        return any(np.isfinite(column[rows]).any() for rows in self.blocks())
+
+    def blocks(self) -> Iterator[slice]:
+        """Slices of samples that are looked at together; after each, the memory for them is given back."""
+        return blocks_of(self.signals.values(), len(self))
+
+    def release_memory(self) -> None:
+        """Give back the memory that was taken by reading or changing what is in a file; see `stored_arrays`."""
+        release_pages(self.signals.values())
+        release_pages(channel.x for channel in self.channels.values())
+        release_pages(channel.t for channel in self.channels.values())
 
 
 def truncation_notice(file: str, kept: str) -> Notice:
@@ -200,13 +213,23 @@ def _check_values(t: Array, signals: Mapping[str, Array]) -> tuple[Mask, dict[st
     invalid = ~np.isfinite(t)
     present = {}
     for name, array in signals.items():
-        # a column at a time: a mask of the whole array would add an eighth to the memory
-        for column in array.T:
-            missing = ~np.isfinite(column)
-            if not missing.all():
-                present[name] = array
-                invalid |= missing
+        columns = np.flatnonzero(finite_columns(array))
+        if not len(columns):
+            continue
+        present[name] = array
+        for rows in blocks_of([array], len(t)):
+            invalid[rows] |= ~np.isfinite(array[rows][:, columns]).all(axis=1)
     return invalid, present
+
+
+def finite_columns(array: Array) -> Mask:
+    """True for columns of an array, shape (N, nj), that have a finite value."""
+    has_value = np.zeros(array.shape[1], dtype=bool)
+    for rows in blocks_of([array], len(array)):
+        has_value |= np.isfinite(array[rows]).any(axis=0)
+        if has_value.all():
+            break
+    return has_value
 
 
 def _nominal_step(steps: Array) -> tuple[float, float]:

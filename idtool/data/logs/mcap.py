@@ -128,9 +128,8 @@ def _command_signals(commands: SampleBuffer, t: Array, joints: tuple[str, ...]) 
     count = min(len(times), len(t))  # a truncated file may lack the last commands
     if names != joints or not np.array_equal(times[:count], t[:count]):
         raise ValueError("their joints or times differ from those of the states")
-    for array in signals.values():
-        array.resize((len(t), len(joints)), refcheck=False)
-        array[count:] = np.nan
+    if len(times) != len(t):
+        signals = commands.signals_of(len(t))
     return {_COMMANDS[name]: array for name, array in signals.items() if name in _COMMANDS}
 
 
