@@ -15,6 +15,7 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import JointLog
+from idtool.data.logs.stored_arrays import release_pages
 
 MAX_ANALYZED_SAMPLES = 1 << 16  # samples from which the clock and the velocities are checked
 _MAX_JITTER = 0.01  # rms of the stamps' jitter, in samples, above which the signals are put on an even clock
@@ -87,6 +88,12 @@ class Channels:
     def _read(self, name: str, part: slice, lag: Array) -> Array:
         """A signal as it stands in the log ``lag`` [s], shape (nv,), after the samples; shape (nv, N)."""
         x = self.log.signals[name]
+        values = self._values(x, part, lag)
+        release_pages([x])
+        return values
+
+    def _values(self, x: Array, part: slice, lag: Array) -> Array:
+        """`_read`, of a signal of the log, shape (samples, joints)."""
         if not self._is_resampled and not lag.any():
             return np.ascontiguousarray(x[part][:, self._columns].T)
         dt = self.log.dt
@@ -146,7 +153,7 @@ class Channels:
         even_error = 0.0
         for segment in self.log.segments:
             t = self.log.t[segment][:MAX_ANALYZED_SAMPLES]
-            q = self.log.signals["q"][segment, self._columns][:MAX_ANALYZED_SAMPLES]
+            q = self.log.signals["q"][segment][:MAX_ANALYZED_SAMPLES, self._columns]
             if len(t) > 2 * r + 1:
                 speed = (q[2 * r :] - q[: -2 * r]) / (t[2 * r :] - t[: -2 * r])[:, None]
                 step = np.diff(q[r:-r], axis=0)

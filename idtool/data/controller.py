@@ -17,6 +17,7 @@ from idtool.common.notice import Notice
 from idtool.data.channels import Channels
 from idtool.data.filters import DELAY_REACH, DIFFERENCE_REACH, delay_signal, differentiate
 from idtool.data.logs.log import JointLog
+from idtool.data.logs.stored_arrays import column_ranges, copy_array, set_columns
 from idtool.robot.config import Controller
 
 MAX_DELAY = 0.05  # s: upper limit of the search
@@ -105,8 +106,8 @@ def without_constant_torque(log: JointLog, controller: Controller | None) -> Joi
             columns.append(i)
     if not columns:
         return log
-    tau = log.signals["tau"].copy()
-    tau[:, columns] = np.nan
+    tau = copy_array(log.path, log.signals["tau"])
+    set_columns(tau, columns, np.nan)
     names = join_names([log.joints[i] for i in columns])
     message = f"the logged torque of these joints never changes, so the controller's torque is used: {names}"
     notice = Notice("torque_from_command", "note", None, message)
@@ -127,9 +128,10 @@ def with_unknown_torque(log: JointLog, controller: Controller | None) -> JointLo
             unknown.append(i)
     if not unknown:
         return log
-    tau = np.full((len(log), len(log.joints)), np.nan)
-    tau = log.signals.get("tau", tau).copy()
-    tau[:, unknown] = 0.0
+    tau = copy_array(log.path, log.signals.get("tau", log.signals["q"]))
+    if "tau" not in log.signals:
+        set_columns(tau, range(len(log.joints)), np.nan)
+    set_columns(tau, unknown, 0.0)
     names = tuple(log.joints[i] for i in unknown)
     message = f"no torque was logged of {join_names(names)}; the wrench sensors alone tell what these joints move"
     notice = Notice("torque_unknown", "note", None, message)
@@ -139,9 +141,7 @@ def with_unknown_torque(log: JointLog, controller: Controller | None) -> JointLo
 
 def _is_constant(log: JointLog, joint: int) -> bool:
     """True if a joint has a torque that never changes."""
-    if "tau" not in log.signals:
+    if not log.has("tau", log.joints[joint]):
         return False
-    tau = log.signals["tau"][:, joint]
-    if not np.isfinite(tau).any():
-        return False
-    return bool(np.nanmin(tau) == np.nanmax(tau))
+    least, greatest = column_ranges(log.signals["tau"][:, joint : joint + 1])
+    return bool(least[0] == greatest[0])

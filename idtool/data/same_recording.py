@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import product
 
 import numpy as np
 
 from idtool.data.logs.log import SIGNALS, JointLog
+from idtool.data.logs.stored_arrays import blocks_of, column_ranges
 
 _TOLERANCE = 1e-4  # of a signal's range: rounding in another format is smaller, the noise of another run is larger
 _MIN_TOLERANCE = 1e-6  # SI units, of a signal that hardly changes
@@ -27,7 +27,7 @@ def is_same_recording(first: JointLog, second: JointLog) -> bool:
     joints = [name for name in first.joints if first.has("q", name) and second.has("q", name)]
     if not joints:
         return False
-    return all(_is_same_signal(first, second, signal, name) for name, signal in product(joints, SIGNALS))
+    return all(_is_same_signal(first, second, signal, joints) for signal in SIGNALS)
 
 
 def same_recordings(logs: Iterable[JointLog]) -> list[list[JointLog]]:
@@ -56,11 +56,18 @@ def _content_hashes(log: JointLog) -> list[str | None]:
     return [source.sha256 for source in log.sources if source.kind == "log"]
 
 
-def _is_same_signal(first: JointLog, second: JointLog, signal: str, joint: str) -> bool:
-    """True if a joint's signal is the same in two logs of the same length, or missing in one of them."""
-    if not (first.has(signal, joint) and second.has(signal, joint)):
+def _is_same_signal(first: JointLog, second: JointLog, signal: str, joints: Sequence[str]) -> bool:
+    """True if a signal of joints is the same in two logs of the same length, or missing in one of them."""
+    common = [name for name in joints if first.has(signal, name) and second.has(signal, name)]
+    if not common:
         return True
-    x = first.signals[signal][:, first.joints.index(joint)]
-    y = second.signals[signal][:, second.joints.index(joint)]
-    tolerance = max(_TOLERANCE * float(np.nanmax(x) - np.nanmin(x)), _MIN_TOLERANCE)
-    return bool(np.isclose(x, y, rtol=0.0, atol=tolerance, equal_nan=True).all())
+    x, y = first.signals[signal], second.signals[signal]
+    x_columns = [first.joints.index(name) for name in common]
+    y_columns = [second.joints.index(name) for name in common]
+    least, greatest = column_ranges(x)
+    tolerance = np.maximum(_TOLERANCE * (greatest - least)[x_columns], _MIN_TOLERANCE)
+    for rows in blocks_of([x, y], len(x)):
+        is_same = np.isclose(x[rows][:, x_columns], y[rows][:, y_columns], rtol=0.0, atol=tolerance, equal_nan=True)
+        if not is_same.all():
+            return False
+    return True

@@ -127,6 +127,7 @@ def _inspect(log: JointLog, robot: Robot, passive: Collection[str]) -> LoadedLog
     for i, name in enumerate(log.joints):
         if name in robot.joints and log.has("q", name):
             median_positions[name] = float(np.nanmedian(q[:, i]))
+            log.release_memory()
     inspection = inspect_log(log)
     constant_torque = tuple(
         name

@@ -39,6 +39,7 @@ from idtool.data.inspection.sensor_findings import sensor_findings
 from idtool.data.inspection.signal_statistics import column_statistics, quantisation
 from idtool.data.inspection.velocity import velocity_lag
 from idtool.data.logs.log import JointLog
+from idtool.data.logs.stored_arrays import copy_array, set_columns
 from idtool.robot.config import Config
 
 __all__ = [
@@ -96,6 +97,7 @@ def _inspect(log: JointLog, config: Config) -> Inspection:
     moving = np.zeros(len(fresh), dtype=bool)
     for i, name in enumerate(log.joints):
         joints[name], moves = inspect_joint(log, i, statistics, jumps[i], stretches, fresh)
+        log.release_memory()
         moving |= moves
     repeated = 1 - float(fresh[moving].mean()) if moving.any() else 0.0
     comparable = [i for i, joint in enumerate(joints.values()) if joint.moves and joint.velocity]
@@ -130,7 +132,8 @@ def _without_unknown_torque(log: JointLog) -> JointLog:
     signals = dict(log.signals)
     tau = signals.pop("tau")
     if not is_unknown.all():
-        signals["tau"] = np.where(is_unknown, np.nan, tau)
+        signals["tau"] = copy_array(log.path, tau)
+        set_columns(signals["tau"], np.flatnonzero(is_unknown).tolist(), np.nan)
     return replace(log, signals=signals)
 
 

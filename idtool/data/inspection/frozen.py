@@ -70,6 +70,7 @@ def _stretches(
             name = log.joints[i]
             for start, stop in _frozen_runs(log, block, signal, i, joints[name], shortest):
                 stretches.setdefault(name, []).append((block.start + start, block.start + stop))
+        log.release_memory()
     return stretches
 
 

@@ -51,6 +51,7 @@ def position_jumps(log: JointLog, stretches: Sequence[slice]) -> list[Jumps]:
             rows, columns = np.nonzero(is_turn | (step > longest_step))
             for i, size in zip(columns.tolist(), step[rows, columns].tolist(), strict=True):
                 sizes[i].append(size)
+            log.release_memory()
     jumps = []
     for joint_sizes in sizes:
         wraps = bool(joint_sizes) and bool(abs(np.median(joint_sizes) - 2 * np.pi) < TURN_TOLERANCE)

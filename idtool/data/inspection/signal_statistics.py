@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.signal import detrend, welch
 
 from idtool.common.arrays import Array, Mask
+from idtool.data.logs.stored_arrays import blocks_of
 
-_BLOCK = 1 << 14  # rows
 _MIN_SAMPLES = 100  # samples that a share is taken of
 _MIN_LEVELS = 16  # fewer are believed only where most samples repeat one
 _GRID_TOLERANCE = 0.15  # steps off the grid that count as on it; without a grid 30 % of the samples are
@@ -37,8 +37,8 @@ def column_statistics(x: Array) -> ColumnStatistics:
     high = np.full(x.shape[1], np.nan)
     squares = np.zeros(x.shape[1])
     not_finite = np.zeros(x.shape[1], dtype=np.int64)
-    for start in range(0, len(x), _BLOCK):
-        block = x[start : start + _BLOCK]
+    for rows in blocks_of([x], len(x)):
+        block = x[rows]
         finite = np.isfinite(block)
         if not finite.all():
             block = np.where(finite, block, np.nan)

@@ -10,7 +10,7 @@ import mmap
 import shutil
 import tempfile
 import weakref
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +110,45 @@ class StoredRows:
         reason = error.strerror or error
         what = f"needs more than {needed:.0f} MiB in {place} ({reason}); set TMPDIR to a folder with more space"
         return LogError(self._path, what)
+
+
+def copy_array(path: Path, array: Array) -> Array:
+    """A copy of an array, shape (N, k): in a file if the array is in one.
+
+    Parameters
+    ----------
+    path
+        The log that the array is of; errors name it.
+    array
+        The array.
+
+    Raises
+    ------
+    LogError
+        If there is no room for it in the temporary folder.
+    """
+    if not is_in_file(array):
+        return array.copy()
+    rows = StoredRows(path, array.shape[1])
+    for part in blocks_of([array], len(array)):
+        rows.append(array[part])
+    return rows.array()
+
+
+def set_columns(array: Array, columns: Sequence[int], value: float) -> None:
+    """Set some columns of an array, shape (N, k), to a value."""
+    for part in blocks_of([array], len(array)):
+        array[part, columns] = value
+
+
+def column_ranges(array: Array) -> tuple[Array, Array]:
+    """Least and greatest value of the columns of an array, shape (N, k), without NaN; shape (k,) each."""
+    least = np.full(array.shape[1], np.nan)
+    greatest = np.full(array.shape[1], np.nan)
+    for part in blocks_of([array], len(array)):
+        least = np.fmin(least, np.fmin.reduce(array[part], axis=0))
+        greatest = np.fmax(greatest, np.fmax.reduce(array[part], axis=0))
+    return least, greatest
 
 
 def blocks(count: int) -> Iterator[slice]:

@@ -21,6 +21,7 @@ from idtool.data.inspection.imu_findings import dead_imu_sensors, imu_findings
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.logs.sensor_channels import is_dead, with_sensors
+from idtool.data.logs.stored_arrays import blocks_of
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
 from idtool.data.signals import Batch, Signals
 from idtool.data.wrench_channels import WrenchChannels
@@ -331,6 +332,7 @@ def _travel(log: JointLog, joint: str) -> float:
         return 0.0
     q = log.signals["q"][:, log.joints.index(joint)]
     low, high = np.nanpercentile(q, _TRAVEL_PERCENTILES)
+    log.release_memory()
     return float(high - low)
 
 
@@ -521,7 +523,7 @@ def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> Co
     """The contacts of a robot; noise of rows that is not configured is guessed from its torque."""
     if not (model.has_floating_base or config.contacts):
         return None
-    squares = [np.mean(np.square(_torques(log, model.joint_names)), axis=0) for log in logs]
+    squares = [_mean_square_torques(log, model.joint_names) for log in logs]
     noise = initial_row_noise(model, np.sqrt(np.mean(squares, axis=0)))
     for name, value in config.base.noise.items():
         if name not in model.names:
@@ -530,13 +532,20 @@ def _contacts(model: RobotModel, config: Config, logs: Sequence[JointLog]) -> Co
     return ContactModel(model, config.contacts, noise)
 
 
-def _torques(log: JointLog, joints: Sequence[str]) -> Array:
-    """Logged torque of joints in the log's segments, shape (N, joints); 1 N·m where none was logged."""
+def _mean_square_torques(log: JointLog, joints: Sequence[str]) -> Array:
+    """Mean square of the logged torque in the log's segments, shape (joints,); of 1 N·m where none was logged."""
     columns = [log.joints.index(name) for name in joints]
     if "tau" not in log.signals:
-        return np.ones((1, len(joints)))
-    tau = np.concatenate([log.signals["tau"][part][:, columns] for part in log.segments])
-    return np.where(np.isfinite(tau), tau, 1.0)
+        return np.ones(len(joints))
+    total = np.zeros(len(joints))
+    count = 0
+    for segment in log.segments:
+        logged = log.signals["tau"][segment]
+        count += len(logged)
+        for rows in blocks_of([logged], len(logged)):
+            tau = logged[rows][:, columns]
+            total += np.square(np.where(np.isfinite(tau), tau, 1.0)).sum(axis=0)
+    return total / count
 
 
 def _read(log: Path | JointLog, config: Config, robot: Robot) -> JointLog:
@@ -563,16 +572,25 @@ def _check_signals(log: JointLog, joints: Sequence[str]) -> None:
     for name in joints:
         if not log.has("q", name):
             raise LogError(log.path, f"joint {name} has no position; log it, or leave it out of joints")
-        for signal, values in log.signals.items():
-            column = values[:, log.joints.index(name)]
-            finite = np.isfinite(column)
-            largest = max(np.max(column, where=finite, initial=0.0), -np.min(column, where=finite, initial=0.0))
-            if largest > _LARGEST:
-                raise LogError(log.path, f"{signal} of joint {name} reaches {largest:.1g}; remove invalid readings")
+    for signal, values in log.signals.items():
+        peaks = _finite_peaks(values)
+        for name in joints:
+            peak = peaks[log.joints.index(name)]
+            if peak > _LARGEST:
+                raise LogError(log.path, f"{signal} of joint {name} reaches {peak:.1g}; remove invalid readings")
     for name, channel in log.channels.items():
-        peak = float(np.abs(channel.x).max(initial=0.0))
+        peak = _finite_peaks(channel.x[:, None])[0]
         if peak > _LARGEST:
             raise LogError(log.path, f"channel {printable(name)} reaches {peak:.1g}; remove invalid readings")
+
+
+def _finite_peaks(x: Array) -> Array:
+    """Greatest finite absolute value of each column of an array, shape (N, k)."""
+    peaks = np.zeros(x.shape[1])
+    for rows in blocks_of([x], len(x)):
+        size = np.abs(x[rows])
+        peaks = np.maximum(peaks, size.max(axis=0, where=np.isfinite(size), initial=0.0))
+    return peaks
 
 
 def _check_sensors(log: JointLog, config: Config) -> None:

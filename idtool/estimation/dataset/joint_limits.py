@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs import JointLog
+from idtool.data.logs.stored_arrays import column_ranges
 from idtool.robot.urdf.reading import Robot, UrdfJoint
 
 _MARGIN = 0.5  # of the range in the URDF: the zero of an encoder alone is not that far off
@@ -20,11 +19,9 @@ PositionRanges = Mapping[str, tuple[float, float]]
 
 def position_ranges(log: JointLog, joints: Sequence[str]) -> PositionRanges:
     """Least and greatest position of each of the joints, which the log must have [rad or m]."""
-    ranges = {}
-    for name in joints:
-        positions = log.signals["q"][:, log.joints.index(name)]
-        ranges[name] = (float(np.nanmin(positions)), float(np.nanmax(positions)))
-    return ranges
+    least, greatest = column_ranges(log.signals["q"])
+    columns = [log.joints.index(name) for name in joints]
+    return {name: (float(least[i]), float(greatest[i])) for name, i in zip(joints, columns, strict=True)}
 
 
 def beyond_limits_notice(robot: Robot, ranges: PositionRanges) -> Notice | None:
