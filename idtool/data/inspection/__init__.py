@@ -16,7 +16,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from idtool.data.inspection.clock import clock_deviation, fresh_rows, gaps, jitter, sample_steps, sampling, step_jitter
+from idtool.data.inspection.clock import (
+    clock_deviations,
+    disordered_stamps,
+    first_and_last,
+    fresh_rows,
+    gaps,
+    jitter,
+    sample_steps,
+    sampling,
+    step_jitter,
+)
 from idtool.data.inspection.findings import all_findings, in_order
 from idtool.data.inspection.imu_findings import imu_findings
 from idtool.data.inspection.joint import inspect_joint
@@ -102,8 +112,8 @@ def _inspect(log: JointLog, config: Config) -> Inspection:
     repeated = 1 - float(fresh[moving].mean()) if moving.any() else 0.0
     comparable = [i for i, joint in enumerate(joints.values()) if joint.moves and joint.velocity]
     stamps = _stamps(log, stretches, comparable, repeated)
-    t = log.t[np.isfinite(log.t)]
-    duration = float(t[-1] - t[0])
+    first_stamp, last_stamp = first_and_last(log.t)
+    duration = last_stamp - first_stamp
     steps = sum(s.stop - s.start - 1 for s in log.segments)
     seconds = sum(float(log.t[s.stop - 1] - log.t[s.start]) for s in log.segments)
     of_sensors = (*imu_findings(log), *sensor_findings(log, config))
@@ -153,7 +163,7 @@ def _stretches(segments: tuple[slice, ...]) -> list[slice]:
 
 
 def _stamps(log: JointLog, stretches: list[slice], moving: list[int], repeated: float) -> Stamps:
-    step = np.diff(log.t[np.isfinite(log.t)])
+    duplicates, backward = disordered_stamps(log.t)
     all_gaps = gaps(log)
     lengths = [s.stop - s.start for s in log.segments]
     short = sum(length for length in lengths if length * log.dt < _SHORT_SEGMENT)
@@ -165,10 +175,10 @@ def _stamps(log: JointLog, stretches: list[slice], moving: list[int], repeated: 
     return Stamps(
         step_jitter=step_jitter(log.t, log.dt, log.segments),
         jitter_rms_ms=1e3 * log.dt * jitter(log.t, log.dt, log.segments),
-        jitter_max_ms=1e3 * max(float(np.abs(clock_deviation(log.t[s])).max()) for s in log.segments),
+        jitter_max_ms=1e3 * _largest_deviation(log),
         step_ms=None if resolution is None else 1e3 * resolution,
-        duplicates=int(np.sum(step == 0)),
-        backward=int(np.sum(step < 0)),
+        duplicates=duplicates,
+        backward=backward,
         gaps=len(all_gaps),
         lost=sum(gap.lost for gap in all_gaps),
         longest_gaps=all_gaps[:_LISTED_GAPS],
@@ -176,3 +186,12 @@ def _stamps(log: JointLog, stretches: list[slice], moving: list[int], repeated: 
         repeated=repeated,
         sampling=instants,
     )
+
+
+def _largest_deviation(log: JointLog) -> float:
+    """Largest deviation of a stamp from a uniform clock, fitted per segment [s]."""
+    largest = 0.0
+    for segment in log.segments:
+        for deviation in clock_deviations(log.t[segment]):
+            largest = max(largest, float(np.abs(deviation).max()))
+    return largest

@@ -6,13 +6,14 @@ nj joints.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.records import Gap, Sampling
 from idtool.data.logs.log import JointLog
+from idtool.data.logs.stored_arrays import blocks
 
 _GAP_STAMPS = 9  # stamps to either side of a gap
 _MIN_STEPS = 200  # steps that tell the time, for a statement
@@ -32,9 +33,13 @@ def jitter(t: Array, dt: float, segments: Iterable[slice]) -> float:
     segments
         Runs without a gap.
     """
-    deviations = [clock_deviation(t[s]) for s in segments]
-    count = sum(len(d) for d in deviations)
-    return float(np.sqrt(sum(d @ d for d in deviations) / count)) / dt if count else 0.0
+    squares = 0.0
+    count = 0
+    for segment in segments:
+        for deviation in clock_deviations(t[segment]):
+            squares += float(deviation @ deviation)
+            count += len(deviation)
+    return float(np.sqrt(squares / count)) / dt if count else 0.0
 
 
 def step_jitter(t: Array, dt: float, segments: Iterable[slice]) -> float:
@@ -43,19 +48,57 @@ def step_jitter(t: Array, dt: float, segments: Iterable[slice]) -> float:
     It is what differentiating from sample to sample suffers from, while a clock that drifts does it no harm; a fit
     states the same. Parameters are those of `jitter`.
     """
-    return float(np.std(np.concatenate([np.diff(t[s]) for s in segments]))) / dt
+    parts = list(segments)
+    count = sum(s.stop - s.start - 1 for s in parts)
+    mean = sum(float(t[s.stop - 1] - t[s.start]) for s in parts) / count
+    squares = 0.0
+    for segment in parts:
+        for rows in blocks(segment.stop - segment.start - 1):
+            step = np.diff(t[segment][rows.start : rows.stop + 1])
+            squares += float(np.square(step - mean).sum())
+    return float(np.sqrt(squares / count)) / dt
 
 
-def clock_deviation(t: Array) -> Array:
-    """Deviation of the stamps of one segment from a uniform clock, its rate fitted [s], shape (N,)."""
-    k = np.arange(len(t)) - 0.5 * (len(t) - 1)
-    centred = t - t.mean()
-    return np.asarray(centred - k * (k @ centred) / max(float(k @ k), 1.0))
+def clock_deviations(t: Array) -> Iterator[Array]:
+    """Deviation of the stamps of one segment, shape (N,), from a uniform clock, its rate fitted [s]; in blocks."""
+    mean_time = t.mean()
+    mean_count = 0.5 * (len(t) - 1)
+    product = 0.0
+    square = 0.0
+    for rows in blocks(len(t)):
+        count = np.arange(rows.start, rows.stop) - mean_count
+        product += float(count @ (t[rows] - mean_time))
+        square += float(count @ count)
+    period = product / max(square, 1.0)
+    for rows in blocks(len(t)):
+        count = np.arange(rows.start, rows.stop) - mean_count
+        yield t[rows] - mean_time - count * period
+
+
+def disordered_stamps(t: Array) -> tuple[int, int]:
+    """Numbers of stamps, shape (N,), that are equal to, and earlier than, the one before."""
+    duplicates = 0
+    backward = 0
+    previous = np.nan
+    for rows in blocks(len(t)):
+        known = t[rows][np.isfinite(t[rows])]
+        step = np.diff(known, prepend=previous)
+        duplicates += int(np.count_nonzero(step == 0))
+        backward += int(np.count_nonzero(step < 0))
+        previous = known[-1] if len(known) else previous
+    return duplicates, backward
+
+
+def first_and_last(t: Array) -> tuple[float, float]:
+    """First and last finite stamp of those, shape (N,), of a log."""
+    is_known = np.isfinite(t)
+    last = len(t) - 1 - np.argmax(is_known[::-1])
+    return float(t[np.argmax(is_known)]), float(t[last])
 
 
 def gaps(log: JointLog) -> tuple[Gap, ...]:
     """Time that was lost between segments, the longest first; rows left out for their values are not lost time."""
-    first = float(log.t[np.isfinite(log.t)][0])
+    first, _ = first_and_last(log.t)
     time_gaps = []
     for before, after in zip(log.segments[:-1], log.segments[1:], strict=True):
         # several stamps to either side, extrapolated to the gap: a single one may be off

@@ -46,7 +46,7 @@ class StoredRows:
         self._width = width
         self._count = 0
         try:
-            self._file = tempfile.TemporaryFile(prefix="idtool_", buffering=0)
+            self._file = tempfile.TemporaryFile(prefix="idtool_", buffering=0)  # noqa: SIM115  # closed below
         except OSError as error:
             raise self._storage_error(error, 0) from None
         weakref.finalize(self, self._file.close)
@@ -69,7 +69,7 @@ class StoredRows:
         """
         if not len(rows):
             return
-        data = memoryview(np.ascontiguousarray(rows, dtype=np.float64)).cast("B")
+        data = np.ascontiguousarray(rows, dtype=np.float64).data.cast("B")
         written = 0
         try:
             while written < len(data):
