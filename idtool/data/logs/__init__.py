@@ -109,7 +109,7 @@ def read_log(
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
     _apply_scale(log, scale)
-    count_arrays(log.signals.values())
+    count_arrays([*log.signals.values(), *(channel.x for channel in log.channels.values())])
     return replace(log, sources=tuple(sources))
 
 

@@ -23,6 +23,7 @@ from idtool.data.logs.merged_rows import merge_rows, take_rows
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
 from idtool.data.logs.sample_buffer import SampleBuffer, Samples
 from idtool.data.logs.sensor_channels import SensorOptions, finite_samples, is_flag
+from idtool.data.logs.stored_arrays import RowBuffer
 from idtool.data.logs.table import CsvTable
 from idtool.data.logs.times import convert_to_seconds
 
@@ -73,7 +74,7 @@ def read(
         joint_columns = len(used)
         used += column_map.channels.values()
         samples = SampleBuffer(path)
-        sensor_rows = []
+        sensor_rows = RowBuffer(path, len(sensor_columns))
         empty_rows = 0
         flags = frozenset(i for name, i in column_map.channels.items() if is_flag(name))
         for all_rows in table.rows(used, flags):
@@ -104,13 +105,12 @@ def read(
     if table.truncated:
         notices.append(truncation_notice("the file", f"{len(t)} samples, up to t = {t[-1]:.3f} s"))
     log = make_log_of_complete_samples(path, t, joints, arrays, tuple(notices))
-    if not sensor_rows:
+    if not len(sensor_rows):
         return log
-    sensor_values = np.concatenate(sensor_rows)
-    sensor_times = sensor_values[:, 0].copy()
+    sensor_times, *sensor_values = sensor_rows.columns()
     convert_to_seconds(sensor_times)
     channels = {}
-    for name, x in zip(column_map.channels, sensor_values.T[1:], strict=True):
+    for name, x in zip(column_map.channels, sensor_values, strict=True):
         channels[name] = Channel(sensor_times, x)
     return replace(log, channels=channels)
 

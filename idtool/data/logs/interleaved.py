@@ -6,15 +6,36 @@ Examples are an arm and a gripper that publish on one topic, and two topics expo
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.log import JointLog, make_log
-from idtool.data.logs.stored_arrays import blocks_of
+from idtool.data.logs.stored_arrays import RowBuffer, blocks_of
+
+
+@dataclass
+class _Kind:
+    """Samples with the same combination of values.
+
+    Attributes
+    ----------
+    filled
+        True for the values that they have, shape (ns, nj) for ns signals.
+    samples
+        Number of samples.
+    """
+
+    filled: Mask
+    samples: int
+
+    def value_count(self, position: int) -> int:
+        """Number of values in all; 0 if signal ``position`` is missing."""
+        return self.samples * int(self.filled.sum()) if self.filled[position].any() else 0
 
 
 def make_log_of_complete_samples(
@@ -33,19 +54,19 @@ def make_log_of_complete_samples(
     """
     if "q" not in signals or _has_complete_samples(signals):
         return make_log(path, t, joints, signals, notices)
-    filled = np.stack([~np.isnan(array) for array in signals.values()], axis=1)  # (N, ns, nj)
-    _, kind = np.unique(np.packbits(filled.reshape(len(t), -1), axis=1), axis=0, return_inverse=True)
-    kind = kind.ravel()
-    has_position = filled[:, list(signals).index("q")].any(axis=1)
-    values = filled.sum(axis=(1, 2)) * has_position
-    best = np.bincount(kind, values).argmax()
-    pattern = filled[np.argmax(kind == best)]  # (ns, nj), the values that are kept
-    rows = (filled | ~pattern).all(axis=(1, 2))
+    kinds = _kinds_of_samples(signals)
+    has_values = np.any([kind.filled for kind in kinds.values()], axis=0)  # (ns, nj)
+    position = list(signals).index("q")
+    best = max(sorted(kinds), key=lambda key: kinds[key].value_count(position))  # the first of equal ones
+    pattern = kinds[best].filled  # (ns, nj), the values that are kept
+    rows = np.zeros(len(t), dtype=bool)
+    for part in blocks_of(signals.values(), len(t)):
+        rows[part] = (_filled(signals, part) | ~pattern).all(axis=(1, 2))
     columns = pattern.any(axis=0)
     kept_joints = tuple(np.array(joints)[columns].tolist())
 
     column_names = np.array([[f"{name}_{joint}" for joint in joints] for name in signals])
-    removed = column_names[filled.any(axis=0) & ~pattern].tolist()
+    removed = column_names[has_values & ~pattern].tolist()
     if not rows.all():
         removed.insert(0, count_text(int((~rows).sum()), "sample"))
     message = (
@@ -56,8 +77,30 @@ def make_log_of_complete_samples(
     notices += (Notice("interleaved_signals", "warning", None, message, advice),)
     kept_signals = {}
     for (name, array), has in zip(signals.items(), pattern, strict=True):
-        kept_signals[name] = np.where(has, array[rows], np.nan)[:, columns]
+        kept = RowBuffer(path, len(kept_joints))
+        for part in blocks_of([array], len(t)):
+            kept.append(np.where(has, array[part][rows[part]], np.nan)[:, columns])
+        kept_signals[name] = kept.array()
     return make_log(path, t[rows], kept_joints, kept_signals, notices)
+
+
+def _filled(signals: Mapping[str, Array], rows: slice) -> Mask:
+    """True where there is a value, shape (N, ns, nj) for N samples and ns signals."""
+    return np.stack([~np.isnan(array[rows]) for array in signals.values()], axis=1)
+
+
+def _kinds_of_samples(signals: Mapping[str, Array]) -> dict[bytes, _Kind]:
+    """The combinations of values that samples have."""
+    kinds: dict[bytes, _Kind] = {}
+    count = len(next(iter(signals.values())))
+    for rows in blocks_of(signals.values(), count):
+        filled = _filled(signals, rows)
+        packed = np.packbits(filled.reshape(len(filled), -1), axis=1)
+        _, first, counts = np.unique(packed, axis=0, return_index=True, return_counts=True)
+        for i, samples in zip(first.tolist(), counts.tolist(), strict=True):
+            kind = kinds.setdefault(packed[i].tobytes(), _Kind(filled[i], 0))
+            kind.samples += samples
+    return kinds
 
 
 def _has_complete_samples(signals: Mapping[str, Array]) -> bool:

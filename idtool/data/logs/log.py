@@ -61,12 +61,18 @@ class Channel:
         widen
             Time [s] by which it counts as set before it is, and after it was.
         """
-        set_times = self.t[self.x > SET]
+        if not len(t):
+            return np.zeros(0, dtype=bool)
+        latest_before_all = int(np.searchsorted(self.t, t.min() - widen)) - 1
+        next_after_all = int(np.searchsorted(self.t, t.max() + widen, side="right"))
+        window = slice(max(latest_before_all, 0), max(next_after_all, 1))
+        times, x = self.t[window], self.x[window]
+        set_times = times[x > SET]
         first = np.searchsorted(set_times, t - widen)
         stop = np.searchsorted(set_times, t + widen, side="right")
         is_set_within = stop > first
-        latest_before = np.searchsorted(self.t, t - widen, side="right") - 1
-        was_set_before = self.x[np.maximum(latest_before, 0)] > SET
+        latest_before = np.searchsorted(times, t - widen, side="right") - 1
+        was_set_before = x[np.maximum(latest_before, 0)] > SET
         return np.asarray(is_set_within | was_set_before)
 
 

@@ -6,16 +6,18 @@ Each has stamps of its own, in the clock of the joints' samples. Units: rad/s, m
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from idtool.common.arrays import Mask
+from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import LogError
 from idtool.common.names import count_text, join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.data.logs.log import Channel, JointLog
+from idtool.data.logs.stored_arrays import StoredRows, blocks_of, column_ranges, is_in_file
 
 SENSOR_CHANNEL = re.compile(r"imu_(q[wxyz]|[wa][xyz])|base_q?[xyz]|base_qw|contact_.+|force_.+_m?[xyz]")
 
@@ -125,15 +127,35 @@ def is_flag(name: str) -> bool:
 def is_dead(log: JointLog, names: Iterable[str]) -> bool:
     """True if none of a sensor's channels, of which a log has all, ever changes: it was not connected."""
     values = [finite_samples(log.channels[name]).x for name in names]
-    return all(len(x) > 0 and np.ptp(x) == 0 for x in values)
+    return all(len(x) > 0 and _is_constant(x) for x in values)
+
+
+def _is_constant(x: Array) -> bool:
+    least, greatest = column_ranges(x[:, None])
+    return bool(least[0] == greatest[0])
 
 
 def finite_samples(channel: Channel) -> Channel:
-    """The channel's finite samples in the order of time."""
+    """The channel's finite samples in the order of time; the very channel if it has no others."""
+    if _is_in_order(channel):
+        return channel
     is_finite = np.isfinite(channel.t) & np.isfinite(channel.x)
     t = channel.t[is_finite]
     order = np.argsort(t, kind="stable")
     return Channel(t[order], channel.x[is_finite][order])
+
+
+def _is_in_order(channel: Channel) -> bool:
+    """True if all samples are finite and in the order of time."""
+    latest = -np.inf
+    for rows in blocks_of([channel.t, channel.x], len(channel.t)):
+        t = channel.t[rows]
+        if not (np.isfinite(t).all() and np.isfinite(channel.x[rows]).all()):
+            return False
+        if t[0] < latest or (np.diff(t) < 0).any():
+            return False
+        latest = float(t[-1])
+    return True
 
 
 def _in_same_clock(name: str, flag: Channel, log: JointLog) -> Channel:
@@ -153,12 +175,25 @@ def _in_same_clock(name: str, flag: Channel, log: JointLog) -> Channel:
 def _closed_before(flag: Channel, log: JointLog) -> Channel:
     """A flag that counts as set before its first value, since a force that is eliminated without need does no harm."""
     start = min(float(log.t[log.segments[0].start]), float(flag.t.min(initial=np.inf))) - 1.0
-    return Channel(np.concatenate([[start], flag.t]), np.concatenate([[1.0], flag.x]))
+    return Channel(_with_first(log.path, start, flag.t), _with_first(log.path, 1.0, flag.x))
+
+
+def _with_first(path: Path, first: float, x: Array) -> Array:
+    """An array, shape (k,), behind another first value; in a file if the array is in one."""
+    if not is_in_file(x):
+        return np.concatenate([[first], x])
+    rows = StoredRows(path, 1)
+    rows.append(np.array([[first]]))
+    for part in blocks_of([x], len(x)):
+        rows.append(x[part, None])
+    return rows.array()[:, 0]
 
 
 def _continuous_orientation(sensor: str, parts: Mapping[str, Channel], log: JointLog) -> dict[str, Channel]:
     """The four parts of a quaternion, whose sign means nothing, without jumps of the sign and without zeros."""
     if len(parts) < _QUATERNION_SIZE or len({len(part.t) for part in parts.values()}) > 1:
+        return dict(parts)
+    if _is_continuous(list(parts.values())):
         return dict(parts)
     quaternions = np.stack([part.x for part in parts.values()])
     is_known = np.linalg.norm(quaternions, axis=0) > _MIN_NORM
@@ -174,15 +209,32 @@ def _continuous_orientation(sensor: str, parts: Mapping[str, Channel], log: Join
     return continuous
 
 
+def _is_continuous(parts: Sequence[Channel]) -> bool:
+    """True if a quaternion is known at all of its samples, and its sign never jumps."""
+    columns = [part.x for part in parts]
+    count = len(columns[0])
+    for rows in blocks_of(columns, count):
+        quaternions = np.stack([x[rows.start : rows.stop + 1] for x in columns])
+        is_known = np.linalg.norm(quaternions, axis=0) > _MIN_NORM
+        is_reversed = (quaternions[:, 1:] * quaternions[:, :-1]).sum(axis=0) < 0
+        if not is_known.all() or is_reversed.any():
+            return False
+    return count > 1
+
+
 def _is_in_gap(channel: Channel, log: JointLog) -> Mask:
     """True for samples of the log before a channel's first value, after its last, or in a gap of it."""
     longest = _MAX_STEPS * max(float(np.median(np.diff(channel.t))), log.dt)
-    next_sample = np.searchsorted(channel.t, log.t, side="left")
-    after = channel.t[np.minimum(next_sample, len(channel.t) - 1)]
-    before = channel.t[np.maximum(next_sample - 1, 0)]
-    with np.errstate(invalid="ignore"):
-        is_outside = (log.t < channel.t[0] - log.dt) | (log.t > channel.t[-1] + log.dt)
-        return np.asarray(is_outside | (after - before > longest))
+    is_in_gap = np.zeros(len(log), dtype=bool)
+    for rows in blocks_of([channel.t], len(log)):
+        t = log.t[rows]
+        next_sample = np.searchsorted(channel.t, t, side="left")
+        after = channel.t[np.minimum(next_sample, len(channel.t) - 1)]
+        before = channel.t[np.maximum(next_sample - 1, 0)]
+        with np.errstate(invalid="ignore"):
+            is_outside = (t < channel.t[0] - log.dt) | (t > channel.t[-1] + log.dt)
+            is_in_gap[rows] = is_outside | (after - before > longest)
+    return is_in_gap
 
 
 def _complete_segments(segments: tuple[slice, ...], is_missing: Mask) -> Iterator[slice]:

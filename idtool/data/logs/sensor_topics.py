@@ -7,14 +7,14 @@ channels, too; see `message_options`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from mcap.records import Channel as ChannelDefinition
 from mcap.records import Schema
 
-from idtool.common.arrays import Array, Indices
+from idtool.common.arrays import Indices
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
@@ -25,6 +25,7 @@ from idtool.data.logs.message_options import FieldSource, MessageOptions, find_f
 from idtool.data.logs.payloads import sensor_decoder_for
 from idtool.data.logs.payloads.base import Decoder, FieldError, MissingFieldError, PayloadError
 from idtool.data.logs.sensor_channels import SensorOptions
+from idtool.data.logs.stored_arrays import RowBuffer
 from idtool.data.logs.times import convert_to_seconds
 
 _MIN_TIMES = 16  # by which the unit of a topic's stamps is judged, which in JSON may be numbers
@@ -62,16 +63,25 @@ class _Topic:
     type_name: str
     channels: tuple[str, ...]
     decoder: Decoder
+    rows: RowBuffer  # times, then the values of the channels that are used
     is_addressed: bool = False  # by the fields of the joints' states
     error: LogError | None = None
     missing_field: FieldError | None = None  # without which it is not of a sensor after all
-    times: list[Array] = field(default_factory=list)
-    values: list[Array] = field(default_factory=list)
+
+    @property
+    def used(self) -> list[int]:
+        """Indices of the channels that are used, which have a name."""
+        return [i for i, channel in enumerate(self.channels) if channel]
+
+    @property
+    def has_messages(self) -> bool:
+        """True if messages were read."""
+        return len(self.rows) > 0
 
     @property
     def is_empty(self) -> bool:
         """True if it has no messages; not known of addressed fields."""
-        return not (self.times or self.is_addressed or self.missing_field)
+        return not (self.has_messages or self.is_addressed or self.missing_field)
 
 
 class SensorTopics:
@@ -126,12 +136,12 @@ class SensorTopics:
     @property
     def imus(self) -> tuple[str, ...]:
         """The topics that carry an IMU, with messages."""
-        return tuple(name for name, topic in self._topics.items() if topic.times and _carries(topic, _IMU))
+        return tuple(name for name, topic in self._topics.items() if topic.has_messages and _carries(topic, _IMU))
 
     @property
     def poses(self) -> tuple[str, ...]:
         """The topics that carry a pose, with messages."""
-        return tuple(name for name, topic in self._topics.items() if topic.times and _carries(topic, _POSE))
+        return tuple(name for name, topic in self._topics.items() if topic.has_messages and _carries(topic, _POSE))
 
     @property
     def notices(self) -> tuple[Notice, ...]:
@@ -166,7 +176,7 @@ class SensorTopics:
         for name, topic in self._topics.items():
             if name == states_topic and topic.error is not None:
                 raise topic.error
-            if topic.times and (name == states_topic or not topic.is_addressed):
+            if topic.has_messages and (name == states_topic or not topic.is_addressed):
                 topics[name] = topic
         empty_topics = {name: topic for name, topic in self._topics.items() if topic.is_empty}
         options = self._sensors
@@ -176,15 +186,14 @@ class SensorTopics:
         }
         channels = {}
         for name, topic in topics.items():
-            t = np.concatenate(topic.times)
+            t, *values = topic.rows.columns()
             if len(t) >= _MIN_TIMES:
                 convert_to_seconds(t)
-            values = np.concatenate(topic.values)
-            used_channels = [channel for channel in topic.channels if channel]
-            for channel, x in zip(used_channels, values.T, strict=True):
+            for i, x in zip(topic.used, values, strict=True):
+                channel = topic.channels[i]
                 kind = next((kind for kind in chosen if channel.startswith(kind.prefix)), None)
                 if kind is None or chosen[kind] == name:
-                    channels[channel] = Channel(t, np.ascontiguousarray(x))
+                    channels[channel] = Channel(t, x)
         for topic in empty_topics.values():
             for channel in filter(None, topic.channels):
                 channels.setdefault(channel, Channel(np.empty(0), np.empty(0)))
@@ -215,14 +224,18 @@ class SensorTopics:
         decoder = sensor_decoder_for(definition.message_encoding, schema)
         if decoder is not None:
             names = decoder.channels(channel_part(definition.topic))
-            return _Topic(type_name, names, decoder.decode)
+            return self._topic(type_name, names, decoder.decode)
         key = (definition.message_encoding, schema.id)
         if key not in self._sources:
             self._sources[key] = self._find_source(definition.message_encoding, schema)
         source = self._sources[key]
         if source is None or source.decoders.sensors is None:
             return None
-        return _Topic(type_name, source.decoders.channels, source.decoders.sensors, is_addressed=True)
+        return self._topic(type_name, source.decoders.channels, source.decoders.sensors, is_addressed=True)
+
+    def _topic(self, type_name: str, channels: tuple[str, ...], decoder: Decoder, is_addressed: bool = False) -> _Topic:
+        width = 1 + sum(map(bool, channels))
+        return _Topic(type_name, channels, decoder, RowBuffer(self._path, width), is_addressed)
 
     def _find_source(self, encoding: str, schema: Schema) -> FieldSource | None:
         try:
@@ -240,7 +253,7 @@ class SensorTopics:
         try:
             decoded = topic.decoder(batch.buffer, starts, lengths)
         except PayloadError as error:
-            if isinstance(error, MissingFieldError) and not topic.is_addressed and not topic.times:
+            if isinstance(error, MissingFieldError) and not topic.is_addressed and not topic.has_messages:
                 topic.missing_field = error.field_error
                 return
             fault = LogError(self._path, f"a message of type {printable(topic.type_name)} {error}")
@@ -251,10 +264,8 @@ class SensorTopics:
         seconds, nanoseconds = np.divmod(heads["log_time"], np.uint64(10**9))
         log_time = seconds + nanoseconds / 1e9
         for piece in decoded:
-            topic.times.append(np.where(piece.t == 0, log_time[piece.index], piece.t))
-            used = [i for i, channel in enumerate(topic.channels) if channel]
-            # a copy, so that the messages need not be kept
-            topic.values.append(np.array(piece.signals["sensor"][:, used], dtype=np.float64))
+            t = np.where(piece.t == 0, log_time[piece.index], piece.t)
+            topic.rows.append(np.column_stack([t, piece.signals["sensor"][:, topic.used]]))
 
 
 def _carries(topic: _Topic, kind: _Kind) -> bool:

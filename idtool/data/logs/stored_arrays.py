@@ -112,6 +112,63 @@ class StoredRows:
         return LogError(self._path, what)
 
 
+class RowBuffer:
+    """Rows of numbers that grow by appending: in memory or, if they are too many, in a temporary file.
+
+    Parameters
+    ----------
+    path
+        The log that the rows come from; errors name it.
+    width
+        Numbers in a row.
+    """
+
+    def __init__(self, path: Path, width: int) -> None:
+        self._path = path
+        self._width = width
+        self._count = 0
+        self._parts: list[Array] = []
+        self._stored: StoredRows | None = None
+
+    def __len__(self) -> int:
+        return self._count
+
+    def append(self, rows: Array) -> None:
+        """Add rows, shape (k, width), which must not be changed afterwards.
+
+        Raises
+        ------
+        LogError
+            If there is no room for them in the temporary folder.
+        """
+        self._count += len(rows)
+        if self._stored is not None:
+            self._stored.append(rows)
+            return
+        self._parts.append(rows)
+        if is_memory_full(8 * self._width * self._count):
+            self._stored = StoredRows(self._path, self._width)
+            for part in self._parts:
+                self._stored.append(part)
+            self._parts = []
+
+    def array(self) -> Array:
+        """The rows, shape (N, width)."""
+        if self._stored is not None:
+            return self._stored.array()
+        return np.concatenate([np.empty((0, self._width)), *self._parts])
+
+    def columns(self) -> Array:
+        """The rows turned into contiguous columns, shape (width, N).
+
+        Raises
+        ------
+        LogError
+            If there is no room for them in the temporary folder.
+        """
+        return np.ascontiguousarray(self.array().T) if self._stored is None else self._stored.columns()
+
+
 def copy_array(path: Path, array: Array) -> Array:
     """A copy of an array, shape (N, k): in a file if the array is in one.
 
