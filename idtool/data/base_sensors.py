@@ -266,8 +266,10 @@ class PoseSensors(BaseSensors):
     def _values(self, names: Sequence[str], t: Array) -> Array:
         """Values of channels, whose stamps are late, at times; shape (channels, N)."""
         first = self._channels[names[0]]
-        samples = np.stack([self._channels[name].x for name in names])
-        return interpolate(first.t, samples, t + self._delay)
+        own_times = t + self._delay
+        near = _nodes_near(first.t, own_times)
+        samples = np.stack([self._channels[name].x[near] for name in names])
+        return interpolate(first.t[near], samples, own_times)
 
 
 def pose_sensors(log: JointLog, model: RobotModel, config: Config) -> PoseSensors | None:
@@ -310,6 +312,21 @@ def interpolate(nodes: Array, x: Array, t: Array) -> Array:
                 weight *= (t - times[:, k]) / (times[:, j] - times[:, k])
         values += weight * x[:, near[:, j]]
     return values
+
+
+def _nodes_near(nodes: Array, t: Array) -> slice:
+    """Samples that `interpolate` takes for times: those about them, and enough with other times beyond them."""
+    first = int(np.searchsorted(nodes, t.min(initial=np.inf)))
+    last = int(np.searchsorted(nodes, t.max(initial=-np.inf), side="right"))
+    margin = 2 * _INTERPOLATION_NODES
+    while True:
+        start, stop = max(first - margin, 0), min(last + margin, len(nodes))
+        before = len(np.unique(nodes[start:first]))
+        after = len(np.unique(nodes[last:stop]))
+        has_enough_before = start == 0 or before > _INTERPOLATION_NODES
+        if has_enough_before and (stop == len(nodes) or after > _INTERPOLATION_NODES):
+            return slice(start, stop)
+        margin *= 2
 
 
 def _angular_velocity(quaternions: Array, rate: Array) -> Array:

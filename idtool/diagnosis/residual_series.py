@@ -90,17 +90,20 @@ def residual_series(experiment: Experiment, models: Models, progress: Progress, 
     samples = (experiment.samples(held_out=False) + experiment.samples(held_out=True)) / signals.low_pass.stride
     numbers = samples * len(signals.joints) * (4 + len(models))
     every = int(np.ceil(max(numbers / _MAX_NUMBERS, 1)))
-    chunks = list(residual_chunks(experiment, models, progress, stage, every))
-
+    names = ("t", "dt", "q", "v", "a", "tau", "residuals", "valid")
+    pieces: dict[str, list[Array]] = {name: [] for name in names}
+    deadbands = []
     starts: list[int] = []
     count = 0
-    for chunk in chunks:
+    for chunk in residual_chunks(experiment, models, progress, stage, every):
         if chunk.segment_starts:
             starts.append(count)
         count += len(chunk.t)
-    names = ("t", "dt", "q", "v", "a", "tau", "residuals", "valid")
-    joined = {name: np.concatenate([getattr(chunk, name) for chunk in chunks], axis=-1) for name in names}
-    deadband = np.max([chunk.velocity_deadband for chunk in chunks], axis=0)
+        deadbands.append(chunk.velocity_deadband)
+        for name in names:
+            pieces[name].append(getattr(chunk, name))
+    joined = {name: np.concatenate(pieces.pop(name), axis=-1) for name in names}  # one is in memory twice at a time
+    deadband = np.max(deadbands, axis=0)
     return ResidualSeries(**joined, velocity_deadband=deadband, segment_starts=tuple(starts))
 
 
@@ -139,9 +142,9 @@ def _chunk(models: Models, batch: Batch, log_start: float, dt: float, starts_seg
     return ResidualSeries(
         t=batch.t + log_start,
         dt=np.full(len(batch.t), dt),
-        q=motion.q[:, inner][:, ::stride],
-        v=motion.v[:, inner][:, ::stride],
-        a=motion.a[:, inner][:, ::stride],
+        q=motion.q[:, inner][:, ::stride].copy(),  # or every sample of the motion would stay in memory
+        v=motion.v[:, inner][:, ::stride].copy(),
+        a=motion.a[:, inner][:, ::stride].copy(),
         tau=predicted[-1],
         residuals=np.stack(residuals),
         valid=np.logical_and.reduce(valid),
