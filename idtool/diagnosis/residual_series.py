@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -91,7 +92,7 @@ def residual_series(experiment: Experiment, models: Models, progress: Progress, 
     numbers = samples * len(signals.joints) * (4 + len(models))
     every = int(np.ceil(max(numbers / _MAX_NUMBERS, 1)))
     names = ("t", "dt", "q", "v", "a", "tau", "residuals", "valid")
-    pieces: dict[str, list[Array]] = {name: [] for name in names}
+    pieces: dict[str, list[Any]] = {name: [] for name in names}
     deadbands = []
     starts: list[int] = []
     count = 0
@@ -102,7 +103,8 @@ def residual_series(experiment: Experiment, models: Models, progress: Progress, 
         deadbands.append(chunk.velocity_deadband)
         for name in names:
             pieces[name].append(getattr(chunk, name))
-    joined = {name: np.concatenate(pieces.pop(name), axis=-1) for name in names}  # one is in memory twice at a time
+    # one of them is in memory twice at a time
+    joined: dict[str, Any] = {name: np.concatenate(pieces.pop(name), axis=-1) for name in names}
     deadband = np.max(deadbands, axis=0)
     return ResidualSeries(**joined, velocity_deadband=deadband, segment_starts=tuple(starts))
 

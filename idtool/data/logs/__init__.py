@@ -13,9 +13,10 @@ A format's file defines `SUFFIXES`, its file name extensions; `matches`, which r
   whatever sizes the file declares (`check_expanded_size`).
 
 `csv` is an example. `SampleBuffer` is for files whose samples are read one after the other; others don't need it. It
-keeps the samples of long logs in a file, so whoever goes through a log does so in blocks (`stored_arrays`). Add the
-format's name to `LOG_FORMATS` in `idtool/cli/options.py`, which help texts show, and to the pages that list the formats,
-and rows to the tables of `tests/data/test_logs_front_door.py` and `test_logs_fuzz.py`.
+keeps the samples of long logs in a file, so whoever goes through a log does so in blocks (`stored_arrays`).
+
+Add the format's name to `LOG_FORMATS` in `idtool/cli/options.py`, which help texts show, and to the pages that list the
+formats, and rows to the tables of `tests/data/test_logs_front_door.py` and `test_logs_fuzz.py`.
 """
 
 from __future__ import annotations
