@@ -227,3 +227,15 @@ def test_saved_pose_is_read_again(tmp_path: Path) -> None:
     for name in POSE:
         np.testing.assert_allclose(after[name].x, before[name].x)
         np.testing.assert_allclose(after[name].t, before[name].t, atol=1e-6)
+
+
+def test_pose_is_the_same_in_parts(rng: np.random.Generator) -> None:
+    """As read in batches, each of which looks at the samples about it only; many samples have the same time."""
+    t = np.sort(rng.integers(0, 120, 400) / 100.0)
+    channels = {name: Channel(t, rng.normal(size=len(t))) for name in POSE}
+    log = JointLog(Path("log"), (), t, {}, (slice(0, len(t)),), 0.01, channels=channels)
+    sensors = PoseSensors(log, LINK, 0.003, GRAVITY)
+    times = np.arange(-0.1, 1.3, 0.004)
+    samples = np.stack([channels[name].x for name in POSE])
+    parts = [sensors._values(POSE, part) for part in np.array_split(times, 30)]
+    np.testing.assert_array_equal(np.concatenate(parts, axis=1), interpolate(t, samples, times + 0.003))

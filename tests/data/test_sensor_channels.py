@@ -235,3 +235,18 @@ def test_flag_is_set_before_its_first_value() -> None:
     """A flag that is logged when it changes: the foot is lifted after a second."""
     log = with_sensors(log_of({"contact_foot": Channel(np.array([1.0]), np.array([0.0]))}), ["contact_foot"])
     assert log.channels["contact_foot"].is_set(np.array([0.5, 1.5])).tolist() == [True, False]
+
+
+def test_flag_is_the_same_in_parts(rng: np.random.Generator) -> None:
+    """As read in batches, each of which looks at the values about it only."""
+    times = np.cumsum(rng.integers(0, 3, 200))  # some of them twice
+    flag = Channel(times.astype(float), rng.integers(0, 2, 200).astype(float))
+    t = np.arange(-5.0, times[-1] + 5.0, 0.5)
+    for widen in (0.0, 2.0):
+        expected = flag.is_set(t, widen)
+        parts = [flag.is_set(part, widen) for part in np.array_split(t, 40)]
+        np.testing.assert_array_equal(np.concatenate(parts), expected)
+        one_by_one = [(flag.x[max(np.searchsorted(times, at - widen, "right") - 1, 0)] > 0.5) for at in t]
+        near = [flag.x[(times >= at - widen) & (times <= at + widen)].max(initial=0.0) > 0.5 for at in t]
+        np.testing.assert_array_equal(expected, np.logical_or(one_by_one, near))
+    assert not len(flag.is_set(t[:0]))
