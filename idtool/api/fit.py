@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from idtool.api.data import Logs, call_text, changed_options, load_experiment
 from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, identified_urdf_text
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.outputs import as_json, as_yaml
+from idtool.common.processes import Background
 from idtool.common.units import units_text
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.records import ProfilesByJoint
@@ -193,13 +195,16 @@ def fit_experiment(
         As in `fit`.
     """
     has_samples = not isinstance(experiment, ReducedExperiment)
-    solved = run_fit(experiment, progress, simulate and has_samples, analyze_uncertainty, method)
     maps = None
+    with ExitStack() as stack:
+        check = None
+        if analyze_uncertainty and has_samples and experiment.has_only_joints:  # without motion of a base and contacts
+            check = stack.enter_context(Background(partial(find_data_faults, experiment)))
+        solved = run_fit(experiment, progress, simulate and has_samples, analyze_uncertainty, method)
+        faults = check.result(progress) if check is not None else ()
+    uncorrectable = [fault for fault in faults if fault.code in _UNCORRECTABLE_FAULTS]
+    solved = replace(solved, notices=(*uncorrectable, *solved.notices))
     if analyze_uncertainty and has_samples:
-        if experiment.has_only_joints:  # they are sought without the motion of a base and without contacts
-            faults = find_data_faults(experiment, progress)
-            uncorrectable = [fault for fault in faults if fault.code in _UNCORRECTABLE_FAULTS]
-            solved = replace(solved, notices=(*uncorrectable, *solved.notices))
         prior_maps = residual_maps(solved.experiment, experiment.equation.prior, progress)
         identified_maps = residual_maps(solved.experiment, solved.estimate.theta, progress)
         maps = (prior_maps, identified_maps)

@@ -12,6 +12,7 @@ from idtool.estimation.dataset.experiment import Experiment, Progress
 
 STATE_BINS = 60
 TIME_BINS = 120
+_MAX_NUMBERS = 4e6  # that are drawn
 _MIN_SAMPLES = 3  # in a bin that is drawn
 _LOW_SPEED = 0.1  # quantile of the speed, below which bins of velocity have one width
 
@@ -31,7 +32,8 @@ def residual_maps(experiment: Experiment, theta: Array, progress: Progress) -> d
     progress
         Callback for the stage and its progress, from 0 to 1.
     """
-    series = residual_series(experiment, [(experiment.equation, theta)], progress, "mapping the residual")
+    models = [(experiment.equation, theta)]
+    series = residual_series(experiment, models, progress, "mapping the residual", _MAX_NUMBERS)
     joints = experiment.equation.joints
     return {name: _profile(series, j, experiment.band_hz) for j, name in enumerate(joints)}
 

@@ -17,13 +17,13 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.data.signals import Batch
 from idtool.dynamics.regressor import LinearModel
-from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
+from idtool.estimation.dataset.experiment import Experiment, Progress
 
 Models = Sequence[tuple[LinearModel, Array]]
 
 MIN_SHARE = 0.05  # of a row, that tells its noise where contact forces leave no more of it
 
-_MAX_NUMBERS = 2e7  # in memory
+MAX_NUMBERS = 2e7  # in memory
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,9 @@ def segments_between(starts: Sequence[int], count: int) -> tuple[slice, ...]:
     return tuple(slice(start, end) for start, end in zip(starts, ends, strict=True))
 
 
-def residual_series(experiment: Experiment, models: Models, progress: Progress, stage: str) -> ResidualSeries:
+def residual_series(
+    experiment: Experiment, models: Models, progress: Progress, stage: str, most_numbers: float = MAX_NUMBERS
+) -> ResidualSeries:
     """Residuals of models along all logs.
 
     Parameters
@@ -86,11 +88,13 @@ def residual_series(experiment: Experiment, models: Models, progress: Progress, 
         Callback for the stage and its progress, from 0 to 1.
     stage
         Name of this stage.
+    most_numbers
+        About how many numbers may be in memory; of longer logs, every second batch, or every third and so on, is used.
     """
     signals = experiment.runs[0].signals
     samples = (experiment.samples(held_out=False) + experiment.samples(held_out=True)) / signals.low_pass.stride
     numbers = samples * len(signals.joints) * (4 + len(models))
-    every = int(np.ceil(max(numbers / _MAX_NUMBERS, 1)))
+    every = int(np.ceil(max(numbers / most_numbers, 1)))
     names = ("t", "dt", "q", "v", "a", "tau", "residuals", "valid")
     pieces: dict[str, list[Any]] = {name: [] for name in names}
     deadbands = []
@@ -120,10 +124,11 @@ def residual_chunks(
     for run in experiment.runs:
         signals = run.signals
         dt = signals.low_pass.stride * signals.log.dt
-        for i, batch in enumerate(tracked(signals.batches(), signals.ranges, progress, stage)):
-            if i % every == 0:
-                starts_segment = every > 1 or batch.before < batch.low_pass.reach
-                yield _chunk(models, batch, log_start, dt, starts_segment)
+        batches = signals.batches()[::every]
+        for i, batch in enumerate(batches):
+            progress(stage, i / len(batches))
+            starts_segment = every > 1 or batch.before < batch.low_pass.reach
+            yield _chunk(models, batch, log_start, dt, starts_segment)
         log_start += signals.log.duration + signals.log.dt
 
 
