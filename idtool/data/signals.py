@@ -355,7 +355,7 @@ class Signals:
 
     def _spans(self, ranges: Sequence[slice], low_pass: LowPass) -> list[BatchSpan]:
         """Batches of parts of the log."""
-        size = max(self.batch_samples, 8 * low_pass.reach)
+        size = max(self.batch_samples, 4 * low_pass.reach)
         size += -size % low_pass.block
         spans = []
         for samples in ranges:

@@ -23,7 +23,7 @@ from idtool.data.logs.message_options import message_options
 from idtool.data.logs.sensor_channels import is_dead, with_sensors
 from idtool.data.logs.stored_arrays import blocks_of
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
-from idtool.data.signals import Batch, Signals
+from idtool.data.signals import BATCH_SAMPLES, Batch, Signals
 from idtool.data.wrench_channels import WrenchChannels
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
@@ -44,6 +44,7 @@ from idtool.estimation.dataset.weights import initial_row_noise
 from idtool.estimation.dataset.wrench_sensor_sign import sign_notices
 from idtool.robot.bounding import hull_sources
 from idtool.robot.config import Config
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import RobotModel, build_model, check_wrench_sensors
 from idtool.robot.urdf.reading import Robot
 
@@ -51,6 +52,7 @@ Progress = Callable[[str, float], None]  # stage, share of it that is done
 Rows = Batches[tuple[list[Array], Shares]]
 
 NOT_SIMULATED = ("floating_base_not_simulated", "contacts_not_simulated")  # notices for evaluations of models
+_BATCH_BYTES = 64 << 20  # that columns may take
 _LARGEST = 1e12  # of a signal in SI: powers of what is larger are not finite
 _STANDING = {"prismatic": 0.005}  # m, that a joint may move and still count as standing
 _STANDING_ANGLE = 0.02  # rad, of any other joint
@@ -495,10 +497,25 @@ def signals_of(log: JointLog, model: RobotModel, config: Config, recording: str 
     base_sensors = BaseSensors.of_log(log, model, config)
     wrench_channels = WrenchChannels.of_log(log, model, config)
     contact_channels = ContactChannels.of_log(log, config, base_sensors)
-    signals = Signals(log, model.joint_names, config, base_sensors, wrench_channels, contact_channels, recording)
+    signals = Signals(
+        log,
+        model.joint_names,
+        config,
+        base_sensors,
+        wrench_channels,
+        contact_channels,
+        recording,
+        batch_samples=_batch_samples(model),
+    )
     if base_sensors is not None:
         signals.notices += imu_findings(log)
     return signals
+
+
+def _batch_samples(model: RobotModel) -> int:
+    """Number of samples in a batch, so that the columns of all bodies along it fit in memory."""
+    columns = PI_SIZE * int(model.support().sum())
+    return min(BATCH_SAMPLES, _BATCH_BYTES // (8 * columns))
 
 
 def _check_detected_contacts(model: RobotModel, config: Config) -> None:

@@ -16,6 +16,7 @@ from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.robot.model import WRENCH_SIZE, RobotModel
 
+_MOST_ROWS = 4  # for each coefficient, in memory at once
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
 _WEIGHINGS = 2  # of the joints by their noise
 _GUESSED_SHARE = 0.02  # of a joint's torque, or of the weight: first guess of the noise
@@ -25,16 +26,20 @@ _LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weig
 
 
 def weighted_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Array:
-    """Rows [Y, tau] of all joints over all coefficients, in units of the noise and per sample; shape (rows, p + 1)."""
+    """Rows [Y, tau] over all coefficients, in units of the noise and per sample, shape (rows, p + 1).
+
+    They are those of all joints or, if these are far more than there are coefficients, as many as those by QR.
+    """
     samples = max(sum(factor.rows for factor in reduction) / len(reduction), 1.0)
     p = len(model.coefficients)
-    rows = np.zeros((sum(len(factor.R) for factor in reduction), p + 1))
-    first = 0
+    pieces: list[Array] = []
     for factor, columns, sigma in zip(reduction, model.active(), noise, strict=True):
-        last = first + len(factor.R)
-        rows[first:last, [*columns, p]] = factor.R / (sigma * np.sqrt(samples))
-        first = last
-    return rows
+        rows = np.zeros((len(factor.R), p + 1))
+        rows[:, [*columns, p]] = factor.R / (sigma * np.sqrt(samples))
+        pieces.append(rows)
+        if sum(map(len, pieces)) > _MOST_ROWS * (p + 1):
+            pieces = [np.asarray(np.linalg.qr(np.concatenate(pieces), mode="r"))]
+    return np.concatenate(pieces)
 
 
 def _noise_floor(factor: Factor) -> float:

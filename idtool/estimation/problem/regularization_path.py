@@ -26,7 +26,6 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
-from idtool.estimation.dataset.weights import weighted_rows
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.body import Body
@@ -322,10 +321,16 @@ class _Tracker:
 
     def _gram_of_data(self, data: Reduction) -> Array:
         """The Gram matrix of data, in units of the noise and per sample."""
-        rows = weighted_rows(self.model, data, self.noise)
-        A = rows[:, :-1] @ self.problem.K * self.problem.scale
-        stacked = np.column_stack([A, rows[:, -1]])
-        return np.asarray(stacked.T @ stacked)
+        p = len(self.problem.K)
+        samples = max(sum(factor.rows for factor in data) / len(data), 1.0)
+        gram = np.zeros((p + 1, p + 1))
+        for factor, columns, sigma in zip(data, self.model.active(), self.noise, strict=True):
+            own = [*columns, p]
+            gram[np.ix_(own, own)] += factor.R.T @ factor.R / (sigma**2 * samples)
+        to_rows = np.zeros((p + 1, self.problem.K.shape[1] + 1))
+        to_rows[:p, :-1] = self.problem.K * self.problem.scale
+        to_rows[p, -1] = 1.0
+        return np.asarray(to_rows.T @ gram @ to_rows)
 
     def _quadratic(self, data_gram: Array, weight: float) -> tuple[Array, Array]:
         """The quadratic part ½ xᵀ P x − qᵀ x of the cost at a weight: P, shape (m, m), and q, shape (m,)."""

@@ -28,7 +28,6 @@ from idtool.estimation.uncertainty.standard_errors import (
     Uncertainty,
     identifiable,
     observable_directions,
-    whitened_rows,
 )
 
 FEWEST_CLUSTERS = 16  # fewer say nothing of their own scatter
@@ -184,9 +183,8 @@ def _block_sums(
     for fitted, full in parts:
         block_G = np.zeros((r, r))
         block_s = np.zeros(r)
-        joints = zip(whitened_rows(model, fitted, noise), full, model.active(), noise, strict=True)
-        for rows, factor, columns, sigma in joints:
-            A = rows @ observable
+        for own, factor, columns, sigma in zip(fitted, full, model.active(), noise, strict=True):
+            A = own.R[:, :-1] @ observable[columns] / sigma
             block_G += A.T @ A
             block_s += A.T @ (factor.R @ np.append(theta[columns], -1.0)) / sigma
         G.append(block_G)

@@ -168,7 +168,7 @@ def _posterior(
     The data's information is that of their independent rows, less where the residual's scatter says so.
     """
     variance = float(np.trace(uncertainty.covariance_y)) / max(len(uncertainty.covariance_y), 1)
-    data = np.concatenate(whitened_rows(equation, reduction, noise)) / np.sqrt(variance or 1.0)
+    data = whitened_rows(equation, reduction, noise) / np.sqrt(variance or 1.0)
     soft = equalities.soft_rows()[:, : len(equation.coefficients)]
     W = np.concatenate([soft, data]) @ equalities.K * problem.scale
     prior = np.zeros((len(inertial), W.shape[1]))

@@ -16,6 +16,7 @@ from idtool.common.linear_algebra import null_space, right_singular_vectors
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
+from idtool.estimation.dataset.weights import weighted_rows
 from idtool.estimation.uncertainty.base_parameters import without_rounding
 
 _RANK = 1e-9  # of the largest singular value of scaled columns: less is rounding
@@ -169,7 +170,7 @@ def observable_directions(
     independent_per_row = independent / rows if independent else 1.0
 
     soft = equalities.soft_rows()[:, :p] / np.sqrt(independent_per_row)  # each is one independent row
-    measured = without_rounding(np.concatenate(whitened_rows(model, reduction, noise)), model, _RANK)
+    measured = without_rounding(whitened_rows(model, reduction, noise), model, _RANK)
     measured = _without_negligible(measured, model)
     W = np.concatenate([soft, measured]) @ equalities.K
     size = np.linalg.norm(W, axis=0)
@@ -199,14 +200,13 @@ def _without_negligible(whitened: Array, model: LinearModel) -> Array:
     return np.where(is_negligible, 0.0, whitened)
 
 
-def whitened_rows(model: LinearModel, reduction: Reduction, noise: Array) -> list[Array]:
-    """Each joint's regressor rows over all coefficients in units of its noise, without torque; shape (n_j, p) each."""
-    whitened = []
-    for factor, columns, sigma in zip(reduction, model.active(), noise, strict=True):
-        rows = np.zeros((len(factor.R), len(model.coefficients)))
-        rows[:, columns] = factor.R[:, :-1] / sigma
-        whitened.append(rows)
-    return whitened
+def whitened_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Array:
+    """Regressor rows of all joints over all coefficients in units of the noise, without torque, shape (rows, p).
+
+    As many as `weighted_rows` gives.
+    """
+    samples = max(sum(factor.rows for factor in reduction) / len(reduction), 1.0)
+    return np.asarray(weighted_rows(model, reduction, noise)[:, :-1] * np.sqrt(samples))
 
 
 def identifiable(directions: Directions, equalities: EqualityConstraints) -> Mask:
