@@ -12,6 +12,7 @@ from idtool.cli.options import (
     ExplainOption,
     HoldoutOption,
     InertiaOption,
+    JobsOption,
     JsonOption,
     LogsArgument,
     MaxEffectsOption,
@@ -50,6 +51,7 @@ def diagnose_command(
     explain: ExplainOption = False,
     no_simulation: NoSimulationOption = False,
     rerun: RerunOption = None,
+    jobs: JobsOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:

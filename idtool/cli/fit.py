@@ -6,6 +6,7 @@ from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
     ConfigOption,
     HoldoutOption,
+    JobsOption,
     JsonOption,
     LogsArgument,
     MaxRmsOption,
@@ -41,6 +42,7 @@ def fit_command(
     method: MethodOption = "ls",
     quick: QuickOption = False,
     rerun: RerunOption = None,
+    jobs: JobsOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:

@@ -51,6 +51,14 @@ def require_log(context: typer.Context, logs: Any) -> Any:
     raise ConfigError("command", f"missing argument 'LOG'; try {context.command_path} --help")
 
 
+def _limit_processes(count: int | None) -> int | None:
+    """The number of processes as given, which is set."""
+    from idtool.common.processes import limit_processes
+
+    limit_processes(count)
+    return count
+
+
 def _check_rerun(file: Path | None) -> Path | None:
     """The file as given; an error, before any work is done, if rerun is missing or the file cannot be written."""
     if file is not None:
@@ -103,6 +111,16 @@ RerunOption = Annotated[
         metavar="FILE.rrd",
         help="Also write a recording for the rerun viewer; needs the extra 'rerun' of idtool.",
         callback=_check_rerun,
+    ),
+]
+JobsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs",
+        min=1,
+        help="Largest number of processes; default: one for each processor core.",
+        show_default=False,
+        callback=_limit_processes,
     ),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print only errors.")]

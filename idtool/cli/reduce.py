@@ -11,6 +11,7 @@ from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
     ConfigOption,
     HoldoutOption,
+    JobsOption,
     JsonOption,
     LogsArgument,
     QuietOption,
@@ -34,6 +35,7 @@ def reduce_command(
     out: ReductionOption,
     config: ConfigOption = None,
     holdout: HoldoutOption = 0.3,
+    jobs: JobsOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:

@@ -10,6 +10,7 @@ from idtool.cli.app import FURTHER_ANALYSIS, app
 from idtool.cli.options import (
     ConfigOption,
     HoldoutOption,
+    JobsOption,
     JsonOption,
     LogsArgument,
     OutOption,
@@ -33,6 +34,7 @@ def study_command(
     holdout: HoldoutOption = 0.3,
     validate: ValidateOption = None,
     draws: Annotated[int, typer.Option(min=5, help="Random draws for each number of samples.")] = 40,
+    jobs: JobsOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:

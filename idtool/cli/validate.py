@@ -10,6 +10,7 @@ import typer
 from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
     LOG_FORMATS,
+    JobsOption,
     JsonOption,
     MaxRmsOption,
     NoSimulationOption,
@@ -50,6 +51,7 @@ def validate_command(
     max_rms: MaxRmsOption = None,
     no_simulation: NoSimulationOption = False,
     rerun: RerunOption = None,
+    jobs: JobsOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:

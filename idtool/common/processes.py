@@ -19,7 +19,14 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Progress = Callable[[str, float], None]
 
+_most_processes: int | None = None
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h: signal that a process gets when its parent ends
+
+
+def limit_processes(count: int | None) -> None:
+    """Limit the number of processes that work at once; None: as many as there are processor cores."""
+    global _most_processes  # it is a setting of the whole process
+    _most_processes = count
 
 
 def process_count() -> int:
@@ -29,7 +36,8 @@ def process_count() -> int:
     """
     if not sys.platform.startswith("linux") or multiprocessing.current_process().daemon:
         return 1
-    return len(os.sched_getaffinity(0))
+    cores = len(os.sched_getaffinity(0))
+    return cores if _most_processes is None else min(_most_processes, cores)
 
 
 def interleaved_shares(count: int) -> list[range]:

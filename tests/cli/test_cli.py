@@ -6,6 +6,7 @@ import re
 import shlex
 import shutil
 from pathlib import Path
+from unittest import mock
 
 import pytest
 import typer
@@ -178,3 +179,10 @@ def test_a_name_is_not_taken_for_markup(tmp_path: Path) -> None:
     done = idtool("inspect", tmp_path / "log.csv")
     assert done.code == 0
     assert "[bold]hip[/]" in done.out
+
+
+@pytest.mark.parametrize(("options", "limit"), [(["--jobs", 1], 1), ([], None)], ids=["one", "default"])
+def test_jobs_limit_the_processes(tmp_path: Path, options: list[object], limit: int | None) -> None:
+    with mock.patch("idtool.common.processes.limit_processes") as set_limit:
+        assert idtool("fit", LEG, TRAIN, "--quick", "--quiet", *options, "--out", tmp_path).code == 0
+    set_limit.assert_called_once_with(limit)

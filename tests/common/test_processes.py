@@ -17,7 +17,7 @@ import pytest
 
 from idtool.common import processes
 from idtool.common.exceptions import ConfigError
-from idtool.common.processes import Background, in_processes, interleaved_shares, process_count
+from idtool.common.processes import Background, in_processes, interleaved_shares, limit_processes, process_count
 
 Progress = Callable[[str, float], None]
 
@@ -151,3 +151,11 @@ def test_an_error_of_idtool_can_be_sent_between_processes() -> None:
 def test_shares_are_interleaved(monkeypatch: pytest.MonkeyPatch, count: int, shares: list[list[int]]) -> None:
     monkeypatch.setattr(processes, "process_count", lambda: 2)
     assert [list(share) for share in interleaved_shares(count)] == shares
+
+
+def test_the_number_of_processes_can_be_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+    """But not beyond the processor cores."""
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {0, 1, 2})
+    for limit, count in ((1, 1), (2, 2), (8, 3), (None, 3)):
+        limit_processes(limit)
+        assert process_count() == count
