@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from hashlib import blake2b
 from typing import NamedTuple
 
@@ -165,6 +165,10 @@ class LinearModel:
 
     def active(self) -> tuple[Indices, ...]:
         """Per joint, indices of the unknowns in its filtered rows."""
+        return self._active
+
+    @cached_property
+    def _active(self) -> tuple[Indices, ...]:
         effects = [(effect, part.start) for effect, part in self.effect_slices() if self._has_filtered_columns(effect)]
         if self.contacts is None:
             return self._active_of(effects)

@@ -66,7 +66,10 @@ class Factor:
 
     def without_last_column(self) -> Factor:
         """The factor of the same rows without what is last in them."""
-        return Factor(_triangle(self.R[:, :-1]), self.rows, self.independent)
+        R = self.R[:, :-1]
+        if len(R) and not R[-1].any():  # as of a triangle
+            R = R[:-1]
+        return Factor(_triangle(R), self.rows, self.independent)
 
     def squared_error(self, theta: Array) -> float:
         """Sum of squared residuals ‖Y_j theta − tau_j‖² for the joint's m_j coefficients [(N·m)²]."""

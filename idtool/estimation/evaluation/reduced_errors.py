@@ -18,6 +18,7 @@ from idtool.estimation.dataset.envelope import Trace
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduced_logs import ReducedLog, is_reducible, reduce_logs
 from idtool.estimation.dataset.reduced_part import ReducedPart
+from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.evaluation.spectrum import Correlations
 from idtool.estimation.evaluation.torque_errors import Errors, Evaluation, evaluate, torque_deviation
 
@@ -84,8 +85,9 @@ def evaluate_reduced(
         known = part.is_compared
         torque_sums += known * part.torque_sums
         known_samples += known * part.samples
+        comparison = part.comparison
         for name, theta in models.items():
-            in_band, cross = _squares(equation, part, theta)
+            in_band, cross = _squares(equation, comparison, theta)
             per_row = part.samples / part.rows
             as_logged = per_row * (in_band - 2 * cross) + part.squares_above_band
             errors[name].samples += part.samples
@@ -102,10 +104,10 @@ def evaluate_reduced(
     )
 
 
-def _squares(equation: LinearModel, part: ReducedPart, theta: Array) -> tuple[Array, Array]:
+def _squares(equation: LinearModel, comparison: Reduction, theta: Array) -> tuple[Array, Array]:
     """Sums of e² and of e · above over the filtered samples, shape (nv,) each."""
     in_band, cross = np.zeros((2, len(equation.joints)))
-    for joint, (factor, active) in enumerate(zip(part.comparison, equation.active(), strict=True)):
+    for joint, (factor, active) in enumerate(zip(comparison, equation.active(), strict=True)):
         Y, tau, above = factor.R[:, :-2], factor.R[:, -2], factor.R[:, -1]
         e = Y @ theta[active] - tau
         in_band[joint] = e @ e
