@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.base_sensors import GYROSCOPE
@@ -87,6 +86,8 @@ def gyroscope_cutoff(logs: Sequence[JointLog]) -> float:
 
 def _cumulative_spectrum(log: JointLog) -> _CumulativeSpectrum | None:
     """Spectrum of a log's longest part without a gap; None if that is shorter than a segment of the spectrum."""
+    from scipy.signal import welch
+
     longest = max(log.segments, key=lambda segment: segment.stop - segment.start)
     start, end = log.t[longest.start], log.t[longest.stop - 1]
     stamps = log.channels[GYROSCOPE[0]].t
@@ -96,7 +97,7 @@ def _cumulative_spectrum(log: JointLog) -> _CumulativeSpectrum | None:
     if period == 0 or is_used.sum() * period < _SEGMENT_DURATION:
         return None
     segment_samples = round(_SEGMENT_DURATION / period)
-    frequencies, density_by_axis = signal.welch(rates[:, is_used], 1 / period, nperseg=segment_samples)
+    frequencies, density_by_axis = welch(rates[:, is_used], 1 / period, nperseg=segment_samples)
     nyquist = frequencies[-1]
     is_noise = (frequencies > _NOISE_FROM * nyquist) & (frequencies < _NOISE_TO * nyquist)
     noise_by_axis = np.median(density_by_axis[:, is_noise], axis=1)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import correlate
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
@@ -204,6 +203,8 @@ def _offset(measured: JointLog, simulated: JointLog, joints: Sequence[str]) -> f
 
     The commands are compared if both logs have them, else the positions.
     """
+    from scipy.signal import correlate
+
     has_commands = all(log.has("qcmd", name) for log in (measured, simulated) for name in joints)
     signal = "qcmd" if has_commands else "q"
     duration = measured.duration

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import signal
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ModelError
@@ -155,8 +154,10 @@ def smoothing(q: Array, dt: float, band_hz: float) -> float:
     band_hz
         The band.
     """
+    from scipy.signal import welch
+
     a = np.diff(q, 2)  # whitens the motion, whose power at 1 Hz is a million times that at 30 Hz
-    f, power = signal.welch(a, 1 / dt, nperseg=min(len(a), round(_LINES / band_hz / dt)), average="median")
+    f, power = welch(a, 1 / dt, nperseg=min(len(a), round(_LINES / band_hz / dt)), average="median")
     f, power = f[1:], power[1:]
     power = power / (2 * np.sin(np.pi * f * dt)) ** 4  # of q
     noise = np.median(power[f > 2 * band_hz]) if f[-1] > 2 * band_hz else 0.0
@@ -167,14 +168,16 @@ def smoothing(q: Array, dt: float, band_hz: float) -> float:
 
 def _smoothed_log(signals: Signals, cutoff: Array) -> JointLog:
     """A log with motion and torque through low-passes, joint by joint, and without velocities."""
+    from scipy.signal import butter, sosfiltfilt
+
     channels, dt = signals.channels, signals.log.dt
-    filters = [signal.butter(_ORDER, hz, fs=1 / dt, output="sos") if np.isfinite(hz) else None for hz in cutoff]
+    filters = [butter(_ORDER, hz, fs=1 / dt, output="sos") if np.isfinite(hz) else None for hz in cutoff]
 
     def read(name: str, part: slice) -> Array:
         x = channels.signal(name, part)
         for row, sections in zip(x, filters if name in ("q", "tau") else [], strict=False):
             if sections is not None and np.isfinite(row).all():
-                row[:] = signal.sosfiltfilt(sections, row)
+                row[:] = sosfiltfilt(sections, row)
         return x
 
     return _even_log(signals, channels.stretches(), [name for name in signals.log.signals if name != "v"], read)

@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtrc
 
 from idtool.common.arrays import Array, Indices
 from idtool.dynamics.effects import build_effects
@@ -157,7 +157,7 @@ def _p_value(means: Array, seconds: float) -> float:
     errors = means - drift @ np.linalg.lstsq(drift, means, rcond=None)[0]
     unexplained = float(errors @ errors) / freedom
     explained = (float(np.square(means - means.mean()).sum()) - float(errors @ errors)) / len(times)
-    return float(stats.f.sf(explained / unexplained, len(times), freedom)) if unexplained > 0 else 1.0
+    return float(fdtrc(len(times), freedom, explained / unexplained)) if unexplained > 0 else 1.0
 
 
 def _errors_on_other_half(equation: LinearModel, data: Sequence[Blocks], equalities: EqualityConstraints) -> Array:

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import detrend, welch
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.logs.stored_arrays import blocks_of
@@ -105,6 +104,8 @@ def noise_level(x: Array) -> float:
     The lesser of two estimates: third differences, which a few jumps such as dry friction's do not disturb, and the
     upper half of the spectrum, which smooth fast motion does not reach.
     """
+    from scipy.signal import detrend, welch
+
     if len(x) < 16:
         return 0.0
     from_differences = float(np.median(np.abs(np.diff(x, 3)))) / (0.6745 * np.sqrt(20))
@@ -131,6 +132,8 @@ def power_band(pieces: Sequence[Array], dt: float, derivatives: int = 0, share: 
     share
         Of the power.
     """
+    from scipy.signal import welch
+
     window = min(max(len(x) for x in pieces), max(int(10 / dt), 256))
     f = np.fft.rfftfreq(window, dt)
     density = np.zeros(len(f))

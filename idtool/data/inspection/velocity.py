@@ -8,9 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, rfft, rfftfreq
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import oaconvolve
 
 from idtool.common.arrays import Array
 
@@ -87,11 +86,11 @@ def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
     x = np.linspace(-reach * dt, reach * dt, 2 * reach + 1)
     if len(q) < 2 * len(x):
         return _UNKNOWN
-    V = oaconvolve(v, _gaussian(x, sigma), "valid")
+    V = _convolve(v, _gaussian(x, sigma))
     for _ in range(4):
         g = _gaussian(x - lag, sigma)
-        D = oaconvolve(q, -(x - lag) / sigma**2 * g, "valid")
-        A = oaconvolve(q, ((x - lag) ** 2 / sigma**2 - 1) / sigma**2 * g, "valid")
+        D = _convolve(q, -(x - lag) / sigma**2 * g)
+        A = _convolve(q, ((x - lag) ** 2 / sigma**2 - 1) / sigma**2 * g)
         M = np.stack([D, A, np.ones_like(D)], axis=1)
         gain, slope, offset = np.linalg.lstsq(M, V, rcond=None)[0]
         if gain == 0 or abs(lag - slope / gain) > _MAX_LAG:
@@ -102,6 +101,13 @@ def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
     independent_samples = max(2 * band * dt * len(V), 1.0)
     error = residual.std() / (abs(gain) * A.std() * np.sqrt(independent_samples))
     return Agreement(float(lag), float(gain), float(max(agreement, 0.0)), float(error))
+
+
+def _convolve(x: Array, kernel: Array) -> Array:
+    """Convolution where the kernel, shape (K,), lies within the series, shape (N,); shape (N − K + 1,)."""
+    size = next_fast_len(len(x), real=True)
+    product = rfft(x, size) * rfft(kernel, size)
+    return np.asarray(irfft(product, size)[len(kernel) - 1 : len(x)])
 
 
 def _gaussian(x: Array, sigma: float) -> Array:

@@ -9,7 +9,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy import ndimage
-from scipy.signal import lfilter
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
@@ -220,6 +219,8 @@ def _mean_trajectory(
 
 def _with_teeth_lag(x: Array, dt: float) -> Array:
     """Series after the two lags of the teeth, shape (N,)."""
+    from scipy.signal import lfilter
+
     pole = np.exp(-dt / _TEETH_LAG)
     for _ in range(2):
         x = lfilter([1 - pole], [1, -pole], x, zi=[pole * x[0]])[0]

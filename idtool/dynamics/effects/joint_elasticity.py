@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from scipy import ndimage
-from scipy.signal import lfilter, lfilter_zi, welch
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
@@ -360,6 +359,8 @@ def _power_density(x: Array, dt: float) -> tuple[Array, Array]:
     -------
     Frequencies [Hz], shape (F,), and the power density of each signal, shape (m, F) [its unit squared per Hz].
     """
+    from scipy.signal import welch
+
     f, power = welch(x, 1 / dt, nperseg=min(_WELCH_SAMPLES, x.shape[-1]))
     return np.asarray(f), np.asarray(power)
 
@@ -395,6 +396,8 @@ def _fill_gaps(x: Array, gap: Mask, low_pass: LowPass) -> Array:
 
 def _first_order_lag(x: Array, time_constant: float, dt: float) -> Array:
     """Solution y of time_constant · dy/dt + y = x by the trapezoidal rule, from the steady state on, shape (N,)."""
+    from scipy.signal import lfilter, lfilter_zi
+
     numerator = np.array([dt, dt]) / (2 * time_constant + dt)
     denominator = np.array([1.0, (dt - 2 * time_constant) / (2 * time_constant + dt)])
     steady_state = lfilter_zi(numerator, denominator) * x[0]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtr
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ModelError
@@ -141,6 +141,8 @@ def _first_stage(stacked: Reduction) -> list[Array]:
 
 def bias_check(pair: EstimatePair, base: BaseParameters) -> BiasCheck:
     """Compare two estimates, base parameter by base parameter."""
+    from scipy.stats import false_discovery_control
+
     rows, ls, iv = base.B, pair.ls, pair.iv
     is_determined = np.isfinite(ls.uncertainty.of(rows)) & np.isfinite(iv.uncertainty.of(rows))
     ls_value = np.where(is_determined, rows @ ls.theta, np.nan)
@@ -154,7 +156,7 @@ def bias_check(pair: EstimatePair, base: BaseParameters) -> BiasCheck:
 
     differs = np.zeros(len(rows), dtype=bool)
     if is_determined.any():
-        p_values = 2 * stats.t.sf(t[is_determined], degrees_of_freedom[is_determined])
-        differs[is_determined] = stats.false_discovery_control(p_values) < _FALSE_DISCOVERIES
+        p_values = 2 * stdtr(degrees_of_freedom[is_determined], -t[is_determined])
+        differs[is_determined] = false_discovery_control(p_values) < _FALSE_DISCOVERIES
     differs &= difference > iv.uncertainty.coverage_factor(rows) * iv.uncertainty.of(rows)
     return BiasCheck(pair.kind, pair.iterations, ls_value, iv_value, error, differs, pair.weak)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtrc
 
 from idtool.common.arrays import Array, Mask
 from idtool.dynamics.regressor import LinearModel
@@ -128,16 +128,18 @@ def _welch(value: Array, error: Array, freedom: Array) -> Array:
     F = np.square(_ratio(value, error)) / (1 + 2 * (count - 2) / squares * correction)
     numerator = np.maximum(count - 1, 1)  # degrees of freedom
     denominator = np.where(correction > 0, squares / np.where(correction > 0, 3 * correction, 1.0), np.inf)
-    p_values = stats.f.sf(np.where(is_tested, F, 0.0), numerator, np.minimum(denominator, _INFINITE))
+    p_values = fdtrc(numerator, np.minimum(denominator, _INFINITE), np.where(is_tested, F, 0.0))
     return np.where(is_tested, p_values, np.nan)
 
 
 def _differs(p_values: Array) -> Mask:
     """True for tests that fail, shape (r,)."""
+    from scipy.stats import false_discovery_control
+
     tested = np.flatnonzero(~np.isnan(p_values))
     differs = np.zeros(len(p_values), dtype=bool)
     if len(tested):
-        differs[tested] = stats.false_discovery_control(p_values[tested]) < _FALSE_DISCOVERIES
+        differs[tested] = false_discovery_control(p_values[tested]) < _FALSE_DISCOVERIES
     return differs
 
 

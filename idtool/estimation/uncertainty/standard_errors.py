@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.linear_algebra import null_space, right_singular_vectors
@@ -142,7 +142,7 @@ class Uncertainty:
 
     def coverage_factor(self, rows: Array) -> Array:
         """Half the width of the 95 % interval of combinations in standard errors, by Student's t; (k, p) to (k,)."""
-        return np.asarray(stats.t.ppf(0.5 + CONFIDENCE / 2, self.degrees_of_freedom(rows)))
+        return np.asarray(stdtrit(self.degrees_of_freedom(rows), 0.5 + CONFIDENCE / 2))
 
     def _errors(self, in_y: Array) -> Array:
         return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", in_y, self.covariance_y, in_y, optimize=True)))
