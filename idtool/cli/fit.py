@@ -47,6 +47,9 @@ def fit_command(
     quiet: QuietOption = False,
 ) -> None:
     """Identify inertias, friction and rotors; write identified.urdf, model.yaml, report.json and report.html."""
+    from idtool.reporting.pages.plotly_js import prepare_plotly
+
+    prepare_plotly()
     from idtool.api.data import load_experiment
     from idtool.api.fit import fit_experiment
     from idtool.api.model import Model

@@ -14,22 +14,19 @@ which the page contains, compressed.
 
 from __future__ import annotations
 
-import base64
-import gzip
 import re
 from collections.abc import Mapping, Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import jinja2
 from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
-from plotly.offline import get_plotlyjs
 from typing_extensions import override
 
 from idtool.common.number_text import number, with_error
 from idtool.reporting.number_text import metres, percent
 from idtool.reporting.pages.embedding import EmbeddedFigures
+from idtool.reporting.pages.plotly_js import compressed_plotly
 from idtool.reporting.plots.figure import Figure
 from idtool.reporting.sections.base import Section
 
@@ -109,7 +106,7 @@ def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str
     page = environment.get_template("page.html")
     page_sections = [_template_section(*section) if isinstance(section, tuple) else section for section in sections]
     html = page.render(
-        title=title, sections=page_sections, scripts=scripts, data=data, plotly=_compressed_plotly(), **context
+        title=title, sections=page_sections, scripts=scripts, data=data, plotly=compressed_plotly(), **context
     )
     return html.encode(errors="replace").decode()  # a path need not be text
 
@@ -130,9 +127,3 @@ def _template_section(title: str, content: str | Sequence[Figure]) -> TemplateSe
     if isinstance(content, str):
         return TemplateSection(title, content)
     return TemplateSection(title, figures=content)
-
-
-@cache
-def _compressed_plotly() -> str:
-    """plotly.js as `templates/load.js` takes it: gzip in base64."""
-    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), compresslevel=6, mtime=0)).decode()
