@@ -19,7 +19,7 @@ class AdaptationResult(AdaptationReport, SavableResult):
     _made_by: str
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
-        from idtool.reporting.pages import adapt_page
+        from idtool.reporting.pages.adapt import adapt_page
 
         return {"adapt.json": as_json(self.to_json()), "adapt.html": adapt_page(self, made_by)}
 

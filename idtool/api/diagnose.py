@@ -58,7 +58,7 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
         return self.model_copy(update={"next": tuple(next_steps(self, folder))})
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
-        from idtool.reporting.pages import diagnosis_page
+        from idtool.reporting.pages.diagnosis import diagnosis_page
 
         last = self._diagnosis.last
         urdf = last.experiment.model.robot.path.name

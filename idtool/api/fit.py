@@ -48,7 +48,7 @@ class FitResult(FitReport, SavableResult, Recordable):
         return Model.identified(self._fit)
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
-        from idtool.reporting.pages import fit_page
+        from idtool.reporting.pages.fit import fit_page
 
         urdf = self._fit.experiment.model.robot.path.name
         header = f"Identified by idtool from {urdf}. Together with identified.urdf it is the identified model."

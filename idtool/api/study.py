@@ -25,7 +25,7 @@ class StudyResult(StudyReport, SavableResult):
     _made_by: str
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
-        from idtool.reporting.pages import study_page
+        from idtool.reporting.pages.study import study_page
 
         return {"study.json": as_json(self.to_json()), "study.html": study_page(self._validation, self, made_by)}
 

@@ -43,7 +43,7 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
     _made_by: str
 
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
-        from idtool.reporting.pages import validation_page
+        from idtool.reporting.pages.validation import validation_page
 
         bodies = (self._model, self._models)
         page = validation_page(self._evaluation, self, made_by, self._rollouts, bodies)

@@ -15,3 +15,11 @@ def position_units(torque_units: Mapping[str, str]) -> dict[str, str]:
 def units_text(units: Mapping[str, str]) -> str:
     """Units of several joints as text, each once."""
     return " or ".join(dict.fromkeys(units.values()))
+
+
+def common_unit(units: Mapping[str, str]) -> str:
+    """The unit of a value over all joints with these units."""
+    kinds = list(dict.fromkeys(units.values()))
+    if len(kinds) == 1:
+        return kinds[0]
+    return f"mixed {' and '.join(kinds)}"

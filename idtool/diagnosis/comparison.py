@@ -24,8 +24,8 @@ from idtool.data.inspection import inspect_log
 from idtool.data.pairing import LogPair, align
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.diagnosis.error_summary import NEGLIGIBLE_SHARE
-from idtool.diagnosis.fitted_pair import ALL_BODIES, RIGID_BODY, FittedPair, GapLevel, TermKey, fitted_delay
-from idtool.diagnosis.records import Diagnosis
+from idtool.diagnosis.fitted_pair import ALL_BODIES, FittedPair, GapLevel, TermKey, fitted_delay
+from idtool.diagnosis.records import COMMAND_DELAY, RIGID_BODY, Diagnosis
 from idtool.diagnosis.trial import with_effects
 from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_name, mechanism_of
 from idtool.estimation.dataset.experiment import Experiment, Progress
@@ -40,7 +40,6 @@ _MIN_SHARE = 0.01  # of a joint's squared gap that a change must close
 _MAX_UNEXPLAINED = 0.05  # of a joint's rms torque that the simulator's model may leave
 _MAX_OVER_FLOOR = 2.0  # times the noise floor: an error up to there may be noise
 _IN_ROBOT_LOGS_ONLY = ("wrong_unit", "wrong_sign")  # faults that the configuration corrects in the robot's logs only
-COMMAND_DELAY = "command_delay"
 _CHECK_SIMULATOR = "check that the simulator runs this URDF, with the same gravity, and logs the torque at the joints"
 _BODY_UNITS = {"mass": "kg", "com": "m", "inertia_com": "kg·m²"}
 

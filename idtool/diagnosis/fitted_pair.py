@@ -13,6 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.diagnosis.linearized_fit import linearize_fit
+from idtool.diagnosis.records import RIGID_BODY
 from idtool.diagnosis.trial import FAILURES, fit_trial, has_fixed_inertia, with_effects
 from idtool.dynamics.effects import NamedEffect, effect_from_entry, mechanism_of
 from idtool.estimation.command_delay import with_delay
@@ -25,7 +26,6 @@ from idtool.robot.model import RobotModel
 
 TermKey = tuple[str, str, int]  # effect, what it acts on, number among several of a kind there
 
-RIGID_BODY = "rigid_body"
 ALL_BODIES: TermKey = (RIGID_BODY, "", 0)
 
 _MODEL = "model"

@@ -13,6 +13,9 @@ from idtool.dynamics.effects.named_effect import Cause
 from idtool.estimation.fit import Fit
 from idtool.robot.config import EffectEntry
 
+RIGID_BODY = "rigid_body"  # effect of a change of the inertia parameters of a body
+COMMAND_DELAY = "command_delay"  # effect of a change of the delay of the controller
+
 Verdict = Literal["no_disagreement", "explained", "partly_explained", "unexplained"]
 
 

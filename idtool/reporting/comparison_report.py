@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
+from idtool.common.units import common_unit
 from idtool.data.pairing import LogPair
 from idtool.diagnosis.comparison import Change, Comparison, Quantity
-from idtool.reporting.diagnosis_text import against_summary, common_unit
+from idtool.reporting.diagnosis_text import against_summary
 from idtool.reporting.fit_report import effect_report
 from idtool.reporting.results.base import plain_data
 from idtool.reporting.results.diagnosis import AgainstReport, ChangeReport, ComparedParameter, LogPairReport

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 
 from idtool.common.names import capitalized
 from idtool.common.number_text import number
-from idtool.common.units import position_units
-from idtool.diagnosis.comparison import COMMAND_DELAY
-from idtool.diagnosis.fitted_pair import RIGID_BODY
+from idtool.common.units import common_unit, position_units
+from idtool.diagnosis.records import COMMAND_DELAY, RIGID_BODY
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
 from idtool.dynamics.effects import effect_name as named_effect_name
 from idtool.reporting.results.base import ByJointOrNone
@@ -46,14 +45,6 @@ def owner_name(effect: EffectReport | CandidateReport | ChangeReport) -> str:
     if effect.effect == COMMAND_DELAY:
         return "the controller"
     return target_name(effect.effect, effect.joint, effect.link)
-
-
-def common_unit(units: Mapping[str, str]) -> str:
-    """The unit of a value over all joints with these units."""
-    kinds = list(dict.fromkeys(units.values()))
-    if len(kinds) == 1:
-        return kinds[0]
-    return f"mixed {' and '.join(kinds)}"
 
 
 def summary(report: DiagnosisReport) -> str:

@@ -10,7 +10,7 @@ import pytest
 from pages import BODY, SCRIPT, SLIDE, Page, body_of, complete, notice_of
 from records import partial
 
-from idtool.reporting.pages import adapt_page
+from idtool.reporting.pages.adapt import adapt_page
 from idtool.reporting.plots.sampling import round_significant, subsample_indices
 from idtool.reporting.results.adaptation import AdaptationReport
 from idtool.reporting.sections.adapt import settling_time

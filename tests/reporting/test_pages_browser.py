@@ -13,7 +13,7 @@ from commands import LEG, TRAIN, VALIDATE, csv_text, idtool, sample_table
 from diagnoses import diagnosis_of, fits, level, step_of
 
 from idtool.reporting.diagnosis_report import diagnosis_report
-from idtool.reporting.pages import diagnosis_page
+from idtool.reporting.pages.diagnosis import diagnosis_page
 
 pytestmark = pytest.mark.skipif(DRIVER is None, reason="no chromedriver: install Debian's chromium-driver or Chrome's")
 

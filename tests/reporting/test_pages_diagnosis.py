@@ -31,8 +31,7 @@ from idtool.diagnosis.records import Diagnosis, ErrorSummary, ResidualLocation
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.number_text import four_digits
-from idtool.reporting.pages import diagnosis_page
-from idtool.reporting.pages.diagnosis import parameter_texts
+from idtool.reporting.pages.diagnosis import diagnosis_page, parameter_texts
 from idtool.reporting.results.base import NoticeReport
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
 

@@ -18,7 +18,7 @@ from idtool.estimation.dataset.experiment import prepare
 from idtool.estimation.fit import Fit, fit
 from idtool.reporting.fit_report import fit_report
 from idtool.reporting.number_text import four_digits
-from idtool.reporting.pages import fit_page
+from idtool.reporting.pages.fit import fit_page
 from idtool.reporting.results.fit import FitReport
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import read_robot

@@ -13,7 +13,7 @@ from rollouts import experiment_of, rollouts_of
 
 from idtool.estimation.evaluation.rollouts import RolloutError, RolloutEvaluation
 from idtool.reporting.fit_report import validation_report
-from idtool.reporting.pages import validation_page
+from idtool.reporting.pages.validation import validation_page
 from idtool.reporting.simulation_report import simulation_report
 
 Array = NDArray[np.float64]

@@ -10,8 +10,7 @@ import pytest
 from pages import BODY, SCRIPT, SLIDE, DrawnFigure, Page, complete, evaluation_of, notice_of, study_of
 from records import partial
 
-from idtool.reporting.pages import study_page
-from idtool.reporting.pages.study import LearningSummary, learning
+from idtool.reporting.pages.study import LearningSummary, learning, study_page
 from idtool.reporting.results.study import LearningCurves, StudyReport
 
 JOINTS = (SCRIPT, SLIDE, "knee")

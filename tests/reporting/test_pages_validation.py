@@ -12,7 +12,7 @@ from records import partial
 
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.reporting.fit_report import validation_report
-from idtool.reporting.pages import validation_page
+from idtool.reporting.pages.validation import validation_page
 from idtool.reporting.plots.sampling import merge_stretches, round_curve
 from idtool.reporting.results.validation import ValidationReport
 

@@ -20,7 +20,7 @@ from rich.console import Console
 from idtool.common.notice import Notice, Severity
 from idtool.diagnosis.records import Diagnosis
 from idtool.reporting.diagnosis_report import diagnosis_report
-from idtool.reporting.pages import diagnosis_page
+from idtool.reporting.pages.diagnosis import diagnosis_page
 from idtool.reporting.results.base import NoticeReport
 from idtool.reporting.results.export import ExportReport
 from idtool.reporting.results.rollouts import Simulation

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.diagnosis.fitted_pair import RIGID_BODY
+from idtool.diagnosis.records import RIGID_BODY
 from idtool.dynamics.effects import effect_from_entry, effect_types, mechanism_of
 from idtool.dynamics.effects.simulator_element import (
     Damping,

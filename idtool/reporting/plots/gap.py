@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from idtool.common.units import position_units
-from idtool.reporting.diagnosis_text import UNKNOWN, common_unit, effect_name, owner_name
+from idtool.common.units import common_unit, position_units
+from idtool.reporting.diagnosis_text import UNKNOWN, effect_name, owner_name
 from idtool.reporting.plots.figure import MEDIUM, SHORT, Figure, Panel, PlotlyTrace, Values, curve, figure
 from idtool.reporting.plots.sampling import round_significant
 from idtool.reporting.results.diagnosis import DiagnosisReport

@@ -8,8 +8,8 @@ from typing import Any
 from typing_extensions import override
 
 from idtool.common.number_text import number, with_error
-from idtool.common.units import position_units
-from idtool.reporting.diagnosis_text import common_unit, effect_name, owner_name
+from idtool.common.units import common_unit, position_units
+from idtool.reporting.diagnosis_text import effect_name, owner_name
 from idtool.reporting.results.diagnosis import ChangeReport, DiagnosisReport
 from idtool.reporting.sections.base import (
     NO_VALUE,

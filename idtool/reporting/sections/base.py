@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Generic, Literal, TypeVar
 
 from idtool.common.number_text import number, with_error
-from idtool.reporting.diagnosis_text import common_unit
+from idtool.common.units import common_unit
 from idtool.reporting.number_text import percent
 
 R_contra = TypeVar("R_contra", contravariant=True)

@@ -9,8 +9,8 @@ from typing import Any
 from typing_extensions import override
 
 from idtool.common.number_text import number, parameter_text
-from idtool.common.units import position_units
-from idtool.reporting.diagnosis_text import UNKNOWN, common_unit, effect_name, owner_name, worse_motion
+from idtool.common.units import common_unit, position_units
+from idtool.reporting.diagnosis_text import UNKNOWN, effect_name, owner_name, worse_motion
 from idtool.reporting.results.base import ByJointOrNone
 from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, StepReport
 from idtool.reporting.sections.base import (
