@@ -196,6 +196,23 @@ def test_help_does_not_import_the_numerical_libraries() -> None:
     assert done.stdout.split() == []
 
 
+def test_a_quick_fit_does_not_import_what_it_does_not_need(tmp_path: Path) -> None:
+    """Imports are most of the time of a short fit."""
+    heavy = {"scipy.signal", "scipy.stats", "plotly.graph_objects", "cvxpy", "mujoco", "idtool.diagnosis.diagnose"}
+    samples = ROOT / "sample_logs"
+    command = ["fit", str(samples / "leg.urdf"), str(samples / "leg_train.mcap"), "--quick", "--quiet"]
+    script = (
+        "import atexit, sys\n"
+        f"atexit.register(lambda: print(*{heavy!r} & set(sys.modules)))\n"
+        "from idtool.cli import main\n"
+        "main()\n"
+    )
+    arguments = [sys.executable, "-c", script, *command, "--out", str(tmp_path)]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+    assert (tmp_path / "report.html").is_file()
+
+
 def strings(path: Path) -> Iterator[str]:
     """All strings of a file but docstrings: those of a Python file, or the text of another."""
     if path.suffix != ".py":
