@@ -208,7 +208,7 @@ class Signals:
         batch_samples: int | None = None,
     ) -> None:
         self.log = log
-        self.batch_samples = batch_samples or BATCH_SAMPLES
+        self.batch_samples = batch_samples
         self.recording = recording or log.path.name
         self.base_sensors = base_sensors
         self.wrench_channels = wrench_channels
@@ -355,7 +355,7 @@ class Signals:
 
     def _spans(self, ranges: Sequence[slice], low_pass: LowPass) -> list[BatchSpan]:
         """Batches of parts of the log."""
-        size = max(self.batch_samples, 4 * low_pass.reach)
+        size = max(self.batch_samples or BATCH_SAMPLES, 4 * low_pass.reach)
         size += -size % low_pass.block
         spans = []
         for samples in ranges:

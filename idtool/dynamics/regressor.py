@@ -32,6 +32,7 @@ from idtool.robot.model import RobotModel
 
 _MAX_INVALID_WEIGHT = 0.3  # share of a valid filtered sample's weight that may come from invalid samples
 _PROJECTED_TOGETHER = 40  # columns from which contact forces are eliminated together, to bound the memory
+_WEIGHT_ROUNDING = 1e-12  # many samples have the median of the weights, which are computed by a Fourier transform
 _CLEAN_WEIGHT = 0.03  # share by magnitude up to which invalid samples do not show in a filtered one
 
 OperatingPoint = Mapping[tuple[str, str, str, tuple[float, ...]], float]  # coefficients by key
@@ -433,7 +434,7 @@ class LinearModel:
             limit = _CLEAN_WEIGHT
             if min_distance == 0:
                 limit = max(limit, float(np.median(weight)))
-            clean[joint] &= weight <= limit
+            clean[joint] &= weight <= limit + _WEIGHT_ROUNDING
         return clean
 
     def undefined_shares(self, batch: Batch) -> tuple[Array, Array]:
