@@ -93,7 +93,7 @@ def test_what_an_elastic_joint_cancels_of_the_noise_is_known_before_it_is_fitted
     assert fitted[joint] < 0.9
     assert first_order == pytest.approx(fitted, abs=0.03)
 
-    model = LinearizedModel(elastic.experiment.equation, elastic.theta, next(training_batches(rigid)).motion)
+    model = LinearizedModel(elastic.experiment.equation, elastic.theta, training_batches(rigid)[0].motion)
     white = np.random.default_rng(4).normal(size=model.measured_motion.tau.shape) * base.noise[:, None]
     noisy_motion = replace(model.measured_motion, tau=model.measured_motion.tau + white)
     exact = model.equation.residual(noisy_motion, model.theta) - model.residual

@@ -187,12 +187,11 @@ def test_maps_of_logs_follow_each_other(tmp_path: Path) -> None:
     assert np.abs(one.against["velocity"][np.argmin(width)]) < 0.3
 
 
-def test_a_log_too_long_to_be_held_is_sampled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_too_long_to_be_held_is_sampled(tmp_path: Path) -> None:
     experiment = experiment_of(tmp_path, torque_on_joint(0, lambda t, q, v, tau: 0.3 * np.sin(40 * t)))
     models = [(experiment.equation, experiment.equation.prior)]
     whole = residual_series(experiment, models, silent, "")
-    monkeypatch.setattr("idtool.diagnosis.residual_series._MAX_NUMBERS", whole.residuals.size * 3.0)
-    part = residual_series(experiment, models, silent, "")
+    part = residual_series(experiment, models, silent, "", most_numbers=whole.residuals.size * 3.0)
     assert len(whole.segments) == 1
     assert 0.3 * len(whole.t) < len(part.t) < 0.7 * len(whole.t)
     assert set(part.t) < set(whole.t)

@@ -306,9 +306,10 @@ def test_batches_for_which_there_is_no_memory_are_read_again(base: LinearizedFit
     middle = part.start + 2 * (part.stop - part.start) // 3
     large, small = slice(part.start, middle), slice(middle, part.stop)
     cache = BatchCache(max_bytes=8 * 5 * (middle - part.start) * len(base.experiment.equation.joints))
-    next(cache.batches(run.signals, [large]))
+    first_batch = cache.batches(run.signals, [large])[0]
     first = [list(cache.batches(run.signals, [part])) for part in (large, small)]
     again = [list(cache.batches(run.signals, [part])) for part in (large, small)]
+    assert first[0][0] is first_batch
     assert [a is b for a, b in zip(first[0], again[0], strict=True)] == [True] * len(first[0])
     assert not any(a is b for a, b in zip(first[1], again[1], strict=True))
     for a, b in zip(first[1], again[1], strict=True):
@@ -321,7 +322,7 @@ def test_a_corrected_motion_is_never_that_of_another_motion(base: LinearizedFit)
     equation = with_effects(base.experiment, [late]).equation
     run = base.experiment.runs[0]
     for k in range(50):
-        batch = next(BatchCache().batches(run.signals, run.train))
+        batch = BatchCache().batches(run.signals, run.train)[0]
         motion = replace(batch.motion, tau=batch.motion.tau + k)
         del batch
         expected = replace(motion, kept_columns=None)
@@ -331,7 +332,7 @@ def test_a_corrected_motion_is_never_that_of_another_motion(base: LinearizedFit)
 
 @pytest.mark.parametrize("effect", sorted(effect_types()))
 def test_columns_that_are_kept_depend_on_the_measured_motion_alone(base: LinearizedFit, effect: str) -> None:
-    batch = next(base.experiment.batches(base.experiment.runs[0], held_out=False))
+    batch = base.experiment.batches(base.experiment.runs[0], held_out=False)[0]
     other = replace(batch.motion, tau=-2 * batch.motion.tau, logged_tau=3 * batch.motion.logged_tau)
     for probe in effect_types()[effect].probes(summarize_data(base)):
         if probe.column_key is None:

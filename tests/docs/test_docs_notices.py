@@ -18,7 +18,7 @@ def codes_in_source() -> Iterator[str]:
     """First argument of every ``Notice(…)``, where it is a literal."""
     for path in (ROOT / "idtool").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", None) == "Notice":
+            if isinstance(node, ast.Call) and getattr(node.func, "id", None) == "Notice" and node.args:
                 code = node.args[0]
                 if isinstance(code, ast.Constant):
                     assert isinstance(code.value, str)
