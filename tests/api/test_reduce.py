@@ -209,7 +209,7 @@ def test_a_damaged_file_is_refused_in_one_line(
 def test_random_damage_never_gives_a_traceback(reduction: Path, tmp_path: Path, rng: np.random.Generator) -> None:
     data = np.frombuffer(reduction.read_bytes(), np.uint8)
     file = tmp_path / "log.idr"
-    places = [*rng.integers(0, len(data), 15), *(len(data) - rng.integers(1, 4000, 15))]
+    places = [*rng.integers(0, len(data), 6), *(len(data) - rng.integers(1, 4000, 8))]
     for place in places:
         changed = data.copy()
         changed[place] ^= rng.integers(1, 256)
