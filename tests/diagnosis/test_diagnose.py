@@ -185,6 +185,7 @@ def test_a_payload_is_weighed_where_the_inertia_is_true(folder: Path) -> None:
     assert found["com"][2] == pytest.approx(true["com"][2], abs=0.005)
 
 
+@pytest.mark.slow
 def test_a_stop_is_found_at_either_end_of_the_travel_wherever_the_limits_are(folder: Path) -> None:
     """An obstacle far from the joint's limits: by them alone, it would act on the other side."""
     files = logged(folder, HiddenEffect("end_stop", "shoulder", None, "strong"))
@@ -207,6 +208,7 @@ def test_a_stop_is_found_at_either_end_of_the_travel_wherever_the_limits_are(fol
     assert [entry["parameters"]["side"] for entry in written if entry["effect"] == "end_stop"] == [np.sign(position)]
 
 
+@pytest.mark.slow
 def test_a_payload_heavier_than_the_robot_is_not_believed(folder: Path) -> None:
     """An arm in the horizontal plane, where no weight is felt: a rotor that its model lacks passes for a load."""
     level = {"gravity": [0.0, -9.81, 0.0]}

@@ -130,6 +130,7 @@ def test_friction_that_is_rounded_off_in_time_is_no_disagreement(tmp_path: Path)
         assert float(lead) == pytest.approx(LEAD, abs=0.002 if name == "shoulder" else 0.01)  # less friction
 
 
+@pytest.mark.slow
 def test_what_it_would_hide_is_found(tmp_path: Path) -> None:
     """A spring, as it is: with the rounding in the rows its rest position was 0.1 rad off."""
     is_the_spring(diagnosed(tmp_path, STIFFNESS))

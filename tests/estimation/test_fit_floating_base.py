@@ -51,7 +51,7 @@ def true_model(folder: Path, forces: str, **changes: Any) -> idtool.Model:
     return idtool.Model(folder / "true.urdf", config=settings(forces, friction=friction, **changes))
 
 
-@pytest.mark.parametrize("forces", FORCES)
+@pytest.mark.parametrize("forces", ["unknown", pytest.param("measured", marks=pytest.mark.slow)])
 def test_mass_and_centre_of_mass_are_found(folder: Path, forces: str) -> None:
     """From a prior whose masses are 10 to 30 % off."""
     model = idtool.Model(folder / "prior.urdf", config=settings(forces))

@@ -74,6 +74,7 @@ def test_leg_with_listed_joints(tmp_path: Path) -> None:
         idtool.fit(idtool.Model(LEG, config=config), path)
 
 
+@pytest.mark.slow
 def test_quadruped_with_its_imu_and_feet(tmp_path: Path) -> None:
     """A robot with the maker's names needs neither a preset nor a list; thresholds of its feet make flags."""
     columns = in_order(record_quadruped("stand", 2.0).columns, GO_JOINTS)

@@ -46,7 +46,9 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.parametrize("name", ["report.html", "diagnosis.html", *AS_THE_REPORT])
+@pytest.mark.parametrize(
+    "name", ["report.html", pytest.param("diagnosis.html", marks=pytest.mark.slow), *AS_THE_REPORT]
+)
 def test_every_plot_is_drawn(pages: Path, opened: Browser, name: str) -> None:
     """Colours have no part in the width: each of both is seen once."""
     for width, dark in ((1400, False), (400, True)):
@@ -82,6 +84,7 @@ COVERED = """return [...document.querySelectorAll("[data-figure]")].filter((plot
 }).map((plot) => plot.getAttribute("aria-label"));"""
 
 
+@pytest.mark.slow
 def test_tables_of_a_diagnosis_fit_and_no_toolbar_covers_a_curve(pair: Path, opened: Browser) -> None:
     opened.use(pair, 1400, False)
     assert opened.run(TABLES) == {"wide": [], "stacked": 0, "bare": 0}

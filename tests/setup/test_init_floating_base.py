@@ -208,6 +208,7 @@ def test_radius_is_left_to_the_user_without_standing_and_where_a_foot_slips(
         assert "contacts.radius" in [item.key for item in first.todo]
 
 
+@pytest.mark.slow
 def test_mesh_that_is_round_bounds_the_radius(tmp_path: Path, urdf: Path, recordings: Mapping[str, Recording]) -> None:
     """Without standing, which tells more."""
     import trimesh

@@ -68,10 +68,13 @@ class ReducedLog:
 def is_reducible(experiment: Experiment) -> bool:
     """True if the error of the torque is linear in the coefficients, and these are those of all logs.
 
-    A diagnosis, which keeps batches, compares errors second by second.
+    Not so for robots with contacts, whose torque is much faster to project than its columns, and in a diagnosis, which
+    keeps batches and compares errors second by second.
     """
     equation = experiment.equation
-    if equation.depends_on_parameters or equation.has_sensors or experiment.cache is not None:
+    if equation.depends_on_parameters or equation.has_sensors:
+        return False
+    if equation.contacts is not None or experiment.cache is not None:
         return False
     return not any(sensor.has_offset_by_log or sensor.has_drift for sensor in experiment.config.wrench_sensors)
 
