@@ -175,6 +175,7 @@ def test_of_a_log_of_two_seconds_agreement_is_not_reported(folder: Path) -> None
     assert "noise_floor_unknown" in [notice["code"] for notice in report["notices"]]
 
 
+@pytest.mark.slow
 def test_a_payload_is_weighed_where_the_inertia_is_true(folder: Path) -> None:
     files = logged(folder, HiddenEffect("payload", None, "lower", "strong"), inertia="fixed")
     report = diagnosed(files, folder / "payload", "--no-simulation", "--inertia", "fixed")

@@ -119,6 +119,7 @@ def is_the_spring(found: Diagnosis) -> None:
     assert step.parameters["rest_position"] == pytest.approx(REST, abs=0.02)
 
 
+@pytest.mark.slow
 def test_friction_that_is_rounded_off_in_time_is_no_disagreement(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, 0.0)
     assert (found.verdict, found.steps) == ("no_disagreement", ())

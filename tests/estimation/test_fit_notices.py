@@ -53,6 +53,7 @@ def test_data_that_cannot_be_right_are_named_with_the_remedy(signals: dict[str, 
     assert "`log.scale`" in found or "correct the order of tau" in found
 
 
+@pytest.mark.slow
 def test_a_known_mass_in_grams_is_refused_by_its_name() -> None:
     """A leg of 368 kg would have to be a point at its joint."""
     with pytest.raises(idtool.IdtoolError, match=r"known\.mass: shank_link") as refused:

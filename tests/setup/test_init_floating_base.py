@@ -107,6 +107,7 @@ def test_mass_is_that_of_the_ground_logs_though_something_holds_the_robot_in_ano
     assert (note.subject, "100 %" in note.message) == ("hang.csv", True)
 
 
+@pytest.mark.slow
 def test_of_several_imus_the_one_in_all_logs_is_read(tmp_path: Path, urdf: Path) -> None:
     recordings = {kind: record_quadruped(kind, 2.0) for kind in KINDS}
     logs = [tmp_path / f"{kind}.mcap" for kind in KINDS]
