@@ -129,8 +129,8 @@ def fit(
     model
         The model, or its URDF.
     logs
-        Logs for the fit: paths, which are read with the settings of the configuration, or `Log` objects. Or files of
-        `idtool.reduce`, which replace logs; then there is no simulation and no check of the bias from noise.
+        Logs for the fit: paths, which are read with the settings of the configuration, or `Log` objects. Files of
+        `idtool.reduce` may stand in their place; then there is no simulation and no check of the bias from noise.
     validate
         Whole logs for validation. If they are given, no part of the other logs is held out.
     holdout
@@ -198,7 +198,8 @@ def fit_experiment(
     maps = None
     with ExitStack() as stack:
         check = None
-        if analyze_uncertainty and has_samples and experiment.has_only_joints:  # without motion of a base and contacts
+        can_check = has_samples and experiment.has_only_joints  # a base that moves and contacts are not checked
+        if analyze_uncertainty and can_check:
             check = stack.enter_context(Background(partial(find_data_faults, experiment)))
         solved = run_fit(experiment, progress, simulate and has_samples, analyze_uncertainty, method)
         faults = check.result(progress) if check is not None else ()

@@ -19,7 +19,7 @@ from idtool.reporting.results.reduction import ReducedLogReport, ReductionReport
 
 
 class ReductionResult(ReductionReport):
-    """What was reduced, and the file. The fields are those of `idtool reduce --json`."""
+    """Reduced logs and the file that holds them. The fields are those of `idtool reduce --json`."""
 
     def __repr__(self) -> str:
         train = sum(log.train for log in self.logs)
@@ -37,7 +37,9 @@ def reduce(
     holdout: float = DEFAULT_HOLDOUT,
     progress: Progress | None = None,
 ) -> ReductionResult:
-    """Reduce logs to what a fit needs of them, like `idtool reduce`. `idtool.fit` takes the file in place of the logs.
+    """Reduce logs to what a fit needs of them, like `idtool reduce`.
+
+    `idtool.fit` takes the file in place of the logs.
 
     Parameters
     ----------
@@ -89,11 +91,12 @@ def check_reduction_file(file: Path) -> Path:
 
 
 def _result(experiment: Experiment, reduction: SavedReduction, file: Path) -> ReductionResult:
-    """What was written."""
+    """Result for a reduction that has been written to a file."""
     logs = []
     for log in reduction.logs:
-        samples = {held_out: sum(part.samples for part in log.parts(held_out)) for held_out in (False, True)}
-        logs.append(ReducedLogReport(path=str(log.path), train=samples[False], validation=samples[True]))
+        train = sum(part.samples for part in log.train)
+        validation = sum(part.samples for part in log.held_out)
+        logs.append(ReducedLogReport(path=str(log.path), train=train, validation=validation))
     return ReductionResult(
         file=str(file),
         bytes=file.stat().st_size,

@@ -20,7 +20,13 @@ from idtool.cli.options import (
 )
 
 ReductionOption = Annotated[
-    Path, typer.Option("--out", metavar="FILE.idr", help="File to write; its name ends in .idr.", show_default=False)
+    Path,
+    typer.Option(
+        "--out",
+        metavar="FILE.idr",
+        help="File to write; its name ends in .idr.",
+        show_default=False,
+    ),
 ]
 
 

@@ -104,11 +104,11 @@ class LowPass:
 
 
 def zero_phase_butterworth(order: int, cutoff: float) -> Array:
-    """Impulse response of a Butterworth low-pass that is run forwards and backwards, shape (2n − 1,), the middle at 0.
+    """Impulse response of a zero-phase Butterworth low-pass, shape (2n − 1,); the middle is at time 0.
 
-    It is the inverse Fourier transform of the squared gain 1 / (1 + (tan(πf) / tan(πf_c))^(2 order)) of the filter that
-    the bilinear transform gives. On the grid, whose transform repeats itself, it has died away. scipy.signal, which can
-    run the filter, takes half a second to import.
+    The filter is run forwards and backwards. Its gain is the square of the gain of one pass, which by the bilinear
+    transform is 1 / (1 + (tan(πf) / tan(πf_c))^(2 order)); the response is the inverse Fourier transform of it. The
+    grid is so long that the response has died away at its ends.
 
     Parameters
     ----------
