@@ -106,7 +106,7 @@ class Background(Generic[Result]):
         context = multiprocessing.get_context("fork")
         process = context.Process(target=_evaluate_and_send, args=(evaluate, sender, os.getpid()), daemon=True)
         with warnings.catch_warnings(), suppress(OSError):  # there is no memory for a copy
-            # The other threads are a progress bar's, whose locks a copy does not use, one that compresses plotly.js and
+            # The other threads are a progress bar's, whose locks a copy does not use; one that compresses plotly.js and
             # holds no lock, and those of a linear algebra library, which prepares itself for the fork.
             warnings.simplefilter("ignore", DeprecationWarning)
             process.start()

@@ -1,10 +1,12 @@
-"""Passes over logs: their batches, shared among processes, since what is made of them can be merged."""
+"""Batches of logs, read in several processes, since what is made of them can be merged."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
+
+import numpy as np
 
 from idtool.common.processes import Progress, in_processes, process_count
 from idtool.data.batches import Batches
@@ -50,7 +52,7 @@ def read_through(
     evaluate
         Function of a part of a log. In a copy of this process, what it returns is sent back.
     stages
-        What is said of each log meanwhile.
+        Name of the stage of each log, for the progress.
     progress
         Callback for the stage and its progress, from 0 to 1.
     most_processes
@@ -78,7 +80,7 @@ def read_through(
 
 
 def _tracked(part: LogPart[Item], stage: str, done: int, total: int, progress: Progress) -> LogPart[Item]:
-    """The part; whenever a batch of it is read, the progress is told."""
+    """Copy of a part that reports the progress as its batches are read."""
     places = {span: done + i for i, span in enumerate(part.batches.spans)}
 
     def tell(item: Item, place: int) -> Item:
@@ -94,15 +96,16 @@ def _shares(logs: Sequence[Batches[Item]], count: int) -> list[list[LogPart[Item
     shares: list[list[LogPart[Item]]] = [[] for _ in range(count)]
     rows_before = 0
     for log, batches in enumerate(logs):
-        places = []
+        share_of_batch = []
         for span in batches.spans:
             middle = rows_before + span.rows / 2
-            places.append(min(int(count * middle / total), count - 1))
+            share_of_batch.append(min(int(count * middle / total), count - 1))
             rows_before += span.rows
         first_row = 0
         for i, share in enumerate(shares):
-            if i in places:
-                own = batches[places.index(i) : len(places) - places[::-1].index(i)]
+            first, end = np.searchsorted(share_of_batch, [i, i + 1]).tolist()
+            if first < end:
+                own = batches[first:end]
                 share.append(LogPart(log, first_row, own))
                 first_row += own.rows
     return [share for share in shares if share]

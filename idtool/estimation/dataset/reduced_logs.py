@@ -29,7 +29,7 @@ _FEWEST_SERIES = 2  # batches of consecutive rows, however much memory they take
 
 @dataclass(frozen=True)
 class ReducedLog:
-    """A log.
+    """R-factors and other data that are kept of a log.
 
     Attributes
     ----------
@@ -66,17 +66,17 @@ class ReducedLog:
 
 
 def is_reducible(experiment: Experiment) -> bool:
-    """True if the error of the torque is linear in the coefficients, and these are those of all logs.
+    """True if one pass over the logs is enough for the errors of all models, and is the fastest way to them.
 
-    Not so for robots with contacts, whose torque is much faster to project than its columns, and in a diagnosis, which
-    keeps batches and compares errors second by second.
+    For robots with contacts, it is faster to project torques than columns. A diagnosis, which keeps batches, compares
+    errors second by second.
     """
     equation = experiment.equation
-    if equation.depends_on_parameters or equation.has_sensors:
-        return False
-    if equation.contacts is not None or experiment.cache is not None:
-        return False
-    return not any(sensor.has_offset_by_log or sensor.has_drift for sensor in experiment.config.wrench_sensors)
+    is_linear = not (equation.depends_on_parameters or equation.has_sensors)
+    sensors = experiment.config.wrench_sensors
+    has_coefficients_of_logs = any(sensor.has_offset_by_log or sensor.has_drift for sensor in sensors)
+    is_diagnosis = experiment.cache is not None
+    return is_linear and equation.contacts is None and not has_coefficients_of_logs and not is_diagnosis
 
 
 def reduce_logs(experiment: Experiment, progress: Progress) -> tuple[ReducedLog, ...]:
@@ -94,7 +94,8 @@ def reduce_logs(experiment: Experiment, progress: Progress) -> tuple[ReducedLog,
     kinds = [(i, held_out) for i, run in numbered for held_out in (False, True) if run.parts(held_out)]
     batches = [experiment.batches(experiment.runs[i], held_out) for i, held_out in kinds]
     row_bytes = 8 * sum(len(active) + 2 for active in equation.active())
-    bins = int(np.clip(_DRAWN_BYTES // (ROWS_PER_BIN * row_bytes * max(len(kinds), 1)), *_BINS))
+    bytes_per_bin = ROWS_PER_BIN * row_bytes * max(len(kinds), 1)
+    bins = int(np.clip(_DRAWN_BYTES // bytes_per_bin, *_BINS))
     training_batches: list[BatchOfPart] = []
     for k, (_, held_out) in enumerate(kinds):
         if not held_out:

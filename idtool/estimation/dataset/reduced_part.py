@@ -13,7 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.filters import LowPass
-from idtool.data.signals import Batch, Motion, Signals
+from idtool.data.signals import Batch, Signals
 from idtool.dynamics.regressor import LinearModel
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.blocks import merge_reductions
@@ -24,7 +24,7 @@ from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
 
 @dataclass
 class ReducedPart:
-    """A part of a log, for fitting or for validation.
+    """R-factors, sums and chosen rows of a part of a log, for fitting or for validation.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class ReducedPart:
         return merge_reductions([self.excluded, *self.blocks.values()])
 
     def merge(self, other: ReducedPart) -> None:
-        """Add what comes after it."""
+        """Merge the next batches of the same part of the log into this one, in place."""
         for number, block in other.blocks.items():
             self.blocks[number] = merge(self.blocks[number], block) if number in self.blocks else block
         self.excluded = merge(self.excluded, other.excluded)
@@ -103,7 +103,7 @@ class ReducedPart:
     def add_batch(
         self, equation: LinearModel, signals: Signals, batch: Batch, keep_series: bool
     ) -> tuple[list[Array], Shares]:
-        """Add all but the blocks of a batch.
+        """Add a batch; its rows are returned, to be cut into blocks.
 
         Parameters
         ----------
@@ -127,25 +127,28 @@ class ReducedPart:
         is_compared = equation.compared_rows(batch, row_filter)
 
         times = signals.log.start + motion.t[inner]
-        measured = _filtered(motion.tau, batch, signals.full_rate_low_pass)
-        above = motion.logged_tau[:, inner] - measured
-        self.samples += measured.shape[1]
+        in_band = _filtered(motion.tau, batch, signals.full_rate_low_pass)
+        above_band = motion.logged_tau[:, inner] - in_band
+        self.samples += in_band.shape[1]
         self.is_compared |= is_compared
-        self.torque_sums += measured.sum(axis=1), np.square(measured).sum(axis=1)
-        self.squares_above_band += np.square(above).sum(axis=1)
-        self.posture.add(times, _posture_curves(motion, inner))
+        self.torque_sums += np.stack([in_band.sum(axis=1), np.square(in_band).sum(axis=1)])
+        self.squares_above_band += np.square(above_band).sum(axis=1)
+        self.posture.add(times, {"q": motion.q[:, inner]})
 
         stride = batch.low_pass.stride
-        measured = measured[:, ::stride]
-        if signals.anti_aliasing is not None:  # else, noise far above the band would fold into it
+        measured = in_band[:, ::stride]
+        if signals.anti_aliasing is None:  # nothing is decimated
+            above = above_band
+        else:
             above = _filtered(motion.logged_tau, batch, signals.anti_aliasing) - measured
         self.rows += measured.shape[1]
         bins = self.posture.bins_of(times[::stride])
         prior = equation.prior
         for joint, active in enumerate(equation.active()):
             drawn = np.concatenate([columns[joint], measured[None, joint]])
-            error = columns[joint][-1] - prior[active] @ columns[joint][:-1]
-            self.extremes.add(joint, bins, drawn, (measured[joint], error))
+            Y, tau = columns[joint][:-1], columns[joint][-1]
+            prior_residual = tau - prior[active] @ Y
+            self.extremes.add(joint, bins, drawn, (measured[joint], prior_residual))
         if keep_series:
             self.series.append([np.concatenate([own, tau[None]]) for own, tau in zip(columns, measured, strict=True)])
 
@@ -162,12 +165,3 @@ def _filtered(x: Array, batch: Batch, low_pass: LowPass) -> Array:
     before, after = min(batch.before, low_pass.reach), min(batch.after, low_pass.reach)
     surroundings = slice(batch.before - before, x.shape[-1] - batch.after + after)
     return low_pass(x[..., surroundings], before, after)
-
-
-def _posture_curves(motion: Motion, inner: slice) -> dict[str, Array]:
-    """Positions of the joints, and rotation of a floating base to the world, shape (9, N)."""
-    curves = {"q": motion.q[:, inner]}
-    if motion.contacts is not None:
-        base_to_world = motion.contacts.world_to_base.transpose(1, 0, 2)
-        curves["base"] = base_to_world[..., inner].reshape(9, -1)
-    return curves

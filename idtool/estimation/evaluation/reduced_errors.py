@@ -86,14 +86,16 @@ def evaluate_reduced(
         torque_sums += known * part.torque_sums
         known_samples += known * part.samples
         comparison = part.comparison
+        samples_per_row = part.samples / part.rows
         for name, theta in models.items():
-            in_band, cross = _squares(equation, comparison, theta)
-            per_row = part.samples / part.rows
-            as_logged = per_row * (in_band - 2 * cross) + part.squares_above_band
+            of_rows, cross_of_rows = _squares(equation, comparison, theta)
+            in_band = samples_per_row * of_rows
+            cross = samples_per_row * cross_of_rows
+            as_logged = in_band - 2 * cross + part.squares_above_band
             errors[name].samples += part.samples
             errors[name].known_samples += known * part.samples
-            errors[name].sum_squares_in_band += known * per_row * in_band
-            errors[name].sum_squares_as_logged += known * np.maximum(as_logged, 0.0)
+            errors[name].sum_squares_in_band += known * in_band
+            errors[name].sum_squares_as_logged += known * np.maximum(as_logged, 0.0)  # rounding may make it negative
     first = next(iter(models.values()))
     independent = _independent_samples(equation, parts, first)
     return Evaluation(
