@@ -236,6 +236,11 @@ class Signals:
         self.velocity_deadband = self._measure_deadband()
 
     @property
+    def row_step(self) -> float:
+        """Time from one filtered sample to the next [s]."""
+        return self.low_pass.stride * self.log.dt
+
+    @property
     def sensor_lookahead(self) -> float:
         """Time after a sample until all values of sensors that belong to it are there [s]."""
         latest = 0.0

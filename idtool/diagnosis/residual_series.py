@@ -123,7 +123,7 @@ def residual_chunks(
     log_start = 0.0
     for run in experiment.runs:
         signals = run.signals
-        dt = signals.low_pass.stride * signals.log.dt
+        dt = signals.row_step
         batches = signals.batches()[::every]
         for i, batch in enumerate(batches):
             progress(stage, i / len(batches))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.estimation.dataset.blocks import block_rows, cut_into_blocks, most_blocks
+from idtool.estimation.dataset.blocks import cut_into_blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 
 _ITERATIONS = 15
@@ -95,13 +95,11 @@ def _weighted_least_squares(sums: list[_JointSums], weight: Array, scale: Array,
 
 def _accumulate(experiment: Experiment, theta: Array, progress: Progress) -> list[_JointSums]:
     active = experiment.equation.active()
-    first = experiment.runs[0].signals
-    step = first.low_pass.stride * first.log.dt
-    rows = sum(part.stop - part.start for run in experiment.runs for part in run.signals.ranges)
-    length = block_rows(rows // first.low_pass.stride, step, first.band_hz, most_blocks(active))
+    rows = [run.signals.batches().rows for run in experiment.runs]
+    lengths = experiment.block_rows(experiment.runs, rows)
 
     by_joint: list[list[tuple[Array, Array, float, float]]] = [[] for _ in active]
-    for run in experiment.runs:
+    for run, length in zip(experiment.runs, lengths, strict=True):
         signals = run.signals
         batches = tracked(signals.batches(), signals.ranges, progress, "looking for contacts")
         samples = map(experiment.equation.counted_rows, batches)

@@ -11,7 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
+from idtool.estimation.dataset.blocks import (
+    Blocks,
+    block_rows,
+    cut_into_blocks,
+    merge_reductions,
+    merged_blocks,
+    most_blocks,
+)
 from idtool.estimation.dataset.reduction import Factor, Reduction, merge
 
 Array = NDArray[np.float64]
@@ -128,16 +135,49 @@ def test_joined_blocks_are_consecutive_and_about_as_long(count: int, each: int) 
     assert len(joined) == len(sizes)
 
 
-@given(st.integers(1, 10**7), st.floats(1e-4, 0.1), st.floats(0.5, 100), st.integers(1, 256))
-def test_a_block_is_the_shortest_that_is_long_enough(rows: int, seconds: float, band: float, most: int) -> None:
-    """Four periods of the band's upper end or more, and no more blocks than are wanted."""
-    length = block_rows(rows, seconds, band, most)
+ROWS = st.lists(st.integers(0, 10**7), min_size=1, max_size=8)
 
-    def enough(n: int) -> bool:
-        return n * seconds * band >= 4 * (1 - 1e-12) and -(-rows // max(n, 1)) <= most
 
-    assert enough(length)
-    assert length == 1 or not enough(length - 1) or (length - 1) * seconds * band < 4 * (1 + 1e-12)
+@given(ROWS, st.floats(1e-4, 0.1), st.floats(0.5, 100), st.integers(24, 256))
+def test_a_block_is_four_periods_doubled_until_there_are_few_enough(
+    rows: list[int], step: float, band: float, most: int
+) -> None:
+    """Four periods of the band's upper end; no more blocks than are wanted, but for one of each log."""
+    (length, *others) = block_rows(rows, [step] * len(rows), band, most, len(rows))
+    (shortest,) = block_rows([1], [step], band, most, 1)
+    assert set(others) <= {length}
+    assert shortest * step * band >= 4 * (1 - 1e-12)
+    assert shortest == 1 or (shortest - 1) * step * band < 4 * (1 + 1e-12)
+    assert np.log2(length / shortest).is_integer()
+
+    def is_enough(n: int) -> bool:
+        counts = [-(-count // n) for count in rows]
+        return sum(counts) <= max(most, len(rows)) and max(counts) <= max(2 * most // len(rows), 4)
+
+    assert is_enough(length)
+    assert length == shortest or not is_enough(length // 2)
+
+
+@given(ROWS, st.data())
+def test_blocks_of_one_log_can_be_merged_into_those_of_all(rows: list[int], data: st.DataObject) -> None:
+    """Whether it was reduced alone, or as one of all of them."""
+    i = data.draw(st.integers(0, len(rows) - 1))
+    of_all = block_rows(rows, [0.0125] * len(rows), 40.0, 256, len(rows))[i]
+    for logs in (1, len(rows)):
+        (alone,) = block_rows([rows[i]], [0.0125], 40.0, 256, logs)
+        assert of_all % alone == 0
+
+
+def test_merged_blocks_are_those_of_the_longer_length() -> None:
+    stream = Stream(4000, 5, kept=0.8)
+    short = dict(cut_into_blocks(stream.batches([7, 1900]), 50, 1.0))
+    long = [block for _, block in cut_into_blocks(stream.batches([7, 1900]), 400, 1.0)]
+    merged = merged_blocks(short, 8)
+    assert len(merged) == len(long)
+    for block, expected in zip(merged, long, strict=True):
+        for factor, other in zip(block, expected, strict=True):
+            np.testing.assert_allclose(factor.R.T @ factor.R, other.R.T @ other.R, atol=1e-9)
+            assert (factor.rows, factor.independent) == (other.rows, other.independent)
 
 
 @given(st.lists(st.integers(0, 4000), min_size=1, max_size=8))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,6 +14,7 @@ from idtool.estimation.dataset.reduction import Factor, Reduction, merge
 
 _MOST_BLOCKS = 256  # of all logs together
 _FEWEST_BLOCKS = 24  # of them, however much memory they take
+_FEWEST_BLOCKS_OF_LOG = 4  # that a log of many may have
 _MEMORY = 256 << 20  # bytes that they may take
 _PERIODS = 4.0  # of the band's highest frequency that a block lasts at least
 
@@ -69,21 +70,50 @@ def most_blocks(active: Iterable[Indices]) -> int:
     return int(np.clip(_MEMORY // size, _FEWEST_BLOCKS, _MOST_BLOCKS))
 
 
-def block_rows(rows: int, seconds: float, band_hz: float, most: int) -> int:
-    """Number of rows in a block.
+def block_rows(rows: Sequence[int], steps: Sequence[float], band_hz: float, most: int, logs: int) -> list[int]:
+    """Number of rows in a block of each log.
+
+    A block lasts four periods of the band, doubled until there are few enough. Blocks of a part of the logs are
+    therefore as long as those of all logs together, or can be merged into these; see `merged_blocks`.
 
     Parameters
     ----------
     rows
-        Number of rows of all logs.
-    seconds
-        From one row to the next [s].
+        Number of rows of each log.
+    steps
+        Time from one row of a log to the next [s].
     band_hz
         The low-pass's cut-off [Hz].
     most
-        Largest number of blocks of all logs together.
+        Largest number of blocks of all logs together, but for one of each.
+    logs
+        Number of logs of which these are some. The more there are, the fewer blocks one of them has.
     """
-    return max(int(np.ceil(_PERIODS / band_hz / seconds)), -(-rows // most))
+    shortest = [max(int(np.ceil(_PERIODS / band_hz / step)), 1) for step in steps]
+    most_of_log = max(2 * most // logs, _FEWEST_BLOCKS_OF_LOG)
+    factor = 1
+    while True:
+        lengths = [factor * length for length in shortest]
+        counts = [-(-count // length) for count, length in zip(rows, lengths, strict=True)]
+        if sum(counts) <= max(most, len(counts)) and max(counts, default=0) <= most_of_log:
+            return lengths
+        factor *= 2
+
+
+def merged_blocks(blocks: Mapping[int, Reduction], factor: int) -> list[Reduction]:
+    """Reductions of blocks that are longer by a factor.
+
+    Parameters
+    ----------
+    blocks
+        Reductions of a log's blocks, by their number in the log.
+    factor
+        Number of consecutive blocks that become one.
+    """
+    groups: dict[int, list[Reduction]] = {}
+    for number, block in blocks.items():
+        groups.setdefault(number // factor, []).append(block)
+    return [merge_reductions(group) for group in groups.values()]
 
 
 def cut_into_blocks(

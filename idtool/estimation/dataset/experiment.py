@@ -260,31 +260,40 @@ class Experiment:
     ) -> tuple[Blocks, ...]:
         """`blocks`, whose joints may have no sample that counts; none if the logs are too short."""
         runs = [run for run in self.runs if run.train]
-        length = self.block_rows()
+        of_logs = [rows(run) for run in runs]
+        lengths = self.block_rows(runs, [batches.rows for batches in of_logs], len(self.runs))
 
         def cut(part: LogPart[tuple[list[Array], Shares]]) -> list[tuple[int, Reduction]]:
             redundancy = runs[part.log].signals.low_pass.redundancy
-            return list(cut_into_blocks(part.batches, length, redundancy, part.first_row))
+            return list(cut_into_blocks(part.batches, lengths[part.log], redundancy, part.first_row))
 
         parts: list[dict[int, Reduction]] = [{} for _ in runs]
         stages = [f"{stage} {run.signals.log.path.name}" for run in runs]
         most_processes = None if self.cache is None else 1  # copies of this process would fill a cache of their own
-        for log, numbered in read_through([rows(run) for run in runs], cut, stages, progress, most_processes):
+        for log, numbered in read_through(of_logs, cut, stages, progress, most_processes):
             for number, block in numbered:
                 parts[log][number] = merge(parts[log][number], block) if number in parts[log] else block
         blocks = []
-        for run, of_log in zip(runs, parts, strict=True):
+        for run, of_log, length in zip(runs, parts, lengths, strict=True):
             if of_log:
-                seconds = length * run.signals.low_pass.stride * run.signals.log.dt
+                seconds = length * run.signals.row_step
                 blocks.append(Blocks(run.signals.log.path.name, tuple(of_log.values()), seconds))
         return tuple(blocks)
 
-    def block_rows(self) -> int:
-        """Number of rows in a block, the same for all logs."""
-        rows = [(part.stop - part.start) // run.signals.low_pass.stride for run in self.runs for part in run.train]
-        signals = self.runs[0].signals
-        seconds = signals.low_pass.stride * signals.log.dt
-        return block_rows(sum(rows), seconds, signals.band_hz, most_blocks(self.equation.active()))
+    def block_rows(self, runs: Sequence[Run], rows: Sequence[int], logs: int | None = None) -> list[int]:
+        """Number of rows in a block of each of some logs; see `blocks.block_rows`.
+
+        Parameters
+        ----------
+        runs
+            The logs.
+        rows
+            Number of rows of each.
+        logs
+            Number of logs of which these are some; None: there are no others.
+        """
+        steps = [run.signals.row_step for run in runs]
+        return block_rows(rows, steps, self.band_hz, most_blocks(self.equation.active()), logs or len(runs))
 
     def reduce(self, progress: Progress) -> Reduction:
         """The training data as R-factors; see `checked`."""

@@ -9,22 +9,38 @@ from pathlib import Path
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.data.batches import BatchSpan
+from idtool.data.batches import Batches
 from idtool.data.signals import Batch
 from idtool.dynamics.row_filter import Shares
-from idtool.estimation.dataset.blocks import Blocks, cut_into_blocks
+from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merged_blocks, most_blocks
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.extreme_rows import ROWS_PER_BIN
 from idtool.estimation.dataset.passes import LogPart, read_through
 from idtool.estimation.dataset.reduced_part import ReducedPart
 
-BatchOfPart = tuple[int, BatchSpan]  # number of the part of a log, and its batch
-
-_DRAWN_BYTES = 8 << 20  # that the rows which curves are drawn from may take, of all logs
+_DRAWN_BYTES = 16 << 20  # that the rows which curves are drawn from may take, of all logs
 _SERIES_BYTES = 8 << 20  # that consecutive rows may take, of all logs
-_BINS = (50, 2000)  # fewest and most stretches of time in the curves of a log
+_BINS = (24, 2000)  # fewest and most stretches of time in the curves of a log
 _FEWEST_SERIES = 2  # batches of consecutive rows, however much memory they take
+
+
+@dataclass(frozen=True)
+class LogPlaces:
+    """Places of some logs among all those that are used together: what is kept of each depends on them.
+
+    So logs that are reduced one by one, on different machines, are reduced as they are together.
+
+    Attributes
+    ----------
+    first
+        Number of logs before them.
+    total
+        Number of all logs.
+    """
+
+    first: int
+    total: int
 
 
 @dataclass(frozen=True)
@@ -79,7 +95,7 @@ def is_reducible(experiment: Experiment) -> bool:
     return is_linear and equation.contacts is None and not has_coefficients_of_logs and not is_diagnosis
 
 
-def reduce_logs(experiment: Experiment, progress: Progress) -> tuple[ReducedLog, ...]:
+def reduce_logs(experiment: Experiment, progress: Progress, places: LogPlaces | None = None) -> tuple[ReducedLog, ...]:
     """Reduce logs in one pass.
 
     Parameters
@@ -88,35 +104,39 @@ def reduce_logs(experiment: Experiment, progress: Progress) -> tuple[ReducedLog,
         Model and data; see `is_reducible`.
     progress
         Callback for the stage and its progress, from 0 to 1.
+    places
+        Places of its logs among others; None: there are no others.
     """
     equation = experiment.equation
-    numbered = list(enumerate(experiment.runs))
+    runs = experiment.runs
+    places = places or LogPlaces(0, len(runs))
+    numbered = list(enumerate(runs))
     kinds = [(i, held_out) for i, run in numbered for held_out in (False, True) if run.parts(held_out)]
-    batches = [experiment.batches(experiment.runs[i], held_out) for i, held_out in kinds]
+    batches = [experiment.batches(runs[i], held_out) for i, held_out in kinds]
     row_bytes = 8 * sum(len(active) + 2 for active in equation.active())
-    bytes_per_bin = ROWS_PER_BIN * row_bytes * max(len(kinds), 1)
-    bins = int(np.clip(_DRAWN_BYTES // bytes_per_bin, *_BINS))
-    training_batches: list[BatchOfPart] = []
-    for k, (_, held_out) in enumerate(kinds):
-        if not held_out:
-            training_batches += [(k, span) for span in batches[k].spans]
-    series = {(k, span.start) for k, span in _chosen_series(training_batches, row_bytes)}
-    block_rows = experiment.block_rows()
+    bytes_per_bin = 2 * ROWS_PER_BIN * row_bytes  # in the parts for fitting and for validation
+    bins = int(np.clip(_DRAWN_BYTES // (bytes_per_bin * places.total), *_BINS))
+    series_starts = []
+    for (i, held_out), own in zip(kinds, batches, strict=True):
+        count = 0 if held_out else _series_count(own, row_bytes, i, places)
+        series_starts.append(_spread_starts(own, count))
+    block_rows = _block_rows(experiment, places.total)
 
     def reduce_part(part: LogPart[Batch]) -> ReducedPart:
         i, held_out = kinds[part.log]
-        run = experiment.runs[i]
+        run = runs[i]
         reduced = ReducedPart.empty(equation, Envelope(run.parts(held_out), run.signals.log.t, bins))
 
         def rows() -> Iterator[tuple[list[Array], Shares]]:
             for batch, span in zip(part.batches, part.batches.spans, strict=True):
-                yield reduced.add_batch(equation, run.signals, batch, (part.log, span.start) in series)
+                keep_series = span.start in series_starts[part.log]
+                yield reduced.add_batch(equation, run.signals, batch, keep_series)
 
-        reduced.blocks = dict(cut_into_blocks(rows(), block_rows, run.signals.low_pass.redundancy, part.first_row))
+        reduced.blocks = dict(cut_into_blocks(rows(), block_rows[i], run.signals.low_pass.redundancy, part.first_row))
         return reduced
 
     parts: dict[tuple[int, bool], ReducedPart] = {}
-    stages = [f"reading {experiment.runs[i].signals.log.path.name}" for i, _ in kinds]
+    stages = [f"reading {runs[i].signals.log.path.name}" for i, _ in kinds]
     for k, part in read_through(batches, reduce_part, stages, progress):
         if kinds[k] in parts:
             parts[kinds[k]].merge(part)
@@ -130,8 +150,8 @@ def reduce_logs(experiment: Experiment, progress: Progress) -> tuple[ReducedLog,
                 path=log.path,
                 unknown_torque=log.unknown_torque,
                 has_commands=bool(run.signals.controller.joints.any()),
-                row_step=run.signals.low_pass.stride * log.dt,
-                block_rows=block_rows,
+                row_step=run.signals.row_step,
+                block_rows=block_rows[i],
                 train=(parts[i, False],) if (i, False) in parts else (),
                 held_out=(parts[i, True],) if (i, True) in parts else (),
             )
@@ -154,22 +174,43 @@ def training_blocks(experiment: Experiment, logs: Sequence[ReducedLog]) -> tuple
     LogError
         If a joint has no sample that counts.
     """
+    used = [log for log in logs if log.train]
+    rows = [sum(part.rows for part in log.train) for log in used]
+    steps = [log.row_step for log in used]
+    lengths = block_rows(rows, steps, experiment.band_hz, most_blocks(experiment.equation.active()), len(logs))
     blocks = []
-    for log in logs:
-        of_log = []
+    for log, length in zip(used, lengths, strict=True):
+        factor = max(length // log.block_rows, 1)
+        reductions = []
         for part in log.train:
-            for block in part.blocks.values():
-                of_log.append(tuple(factor.without_last_column() for factor in block))
-        if of_log:
-            blocks.append(Blocks(log.name, tuple(of_log), log.block_rows * log.row_step))
+            for block in merged_blocks(part.blocks, factor):
+                reductions.append(tuple(joint_factor.without_last_column() for joint_factor in block))
+        blocks.append(Blocks(log.name, tuple(reductions), factor * log.block_rows * log.row_step))
     return experiment.checked_blocks(blocks)
 
 
-def _chosen_series(training_batches: Sequence[BatchOfPart], row_bytes: int) -> list[BatchOfPart]:
-    """Batches whose rows are kept one after the other, spread evenly over the training data."""
-    if not training_batches:
-        return []
-    longest = max(span.rows for _, span in training_batches)
+def _block_rows(experiment: Experiment, logs: int) -> list[int]:
+    """Number of rows in a block of each log of an experiment, of as many logs in all."""
+    lengths = [0] * len(experiment.runs)
+    for is_trained in (True, False):  # the number of blocks of the others limits that of none that is fitted
+        numbers = [i for i, run in enumerate(experiment.runs) if bool(run.train) is is_trained]
+        runs = [experiment.runs[i] for i in numbers]
+        rows = [experiment.batches(run, held_out=not is_trained).rows for run in runs]
+        for i, length in zip(numbers, experiment.block_rows(runs, rows, logs), strict=True):
+            lengths[i] = length
+    return lengths
+
+
+def _series_count(batches: Batches[Batch], row_bytes: int, log: int, places: LogPlaces) -> int:
+    """Number of batches of a log whose rows are kept one after the other: its share of those of all logs."""
+    longest = max((span.rows for span in batches.spans), default=1)
     most = max(_SERIES_BYTES // (row_bytes * longest), _FEWEST_SERIES)
-    places = np.linspace(0, len(training_batches) - 1, min(most, len(training_batches)))
-    return [training_batches[place] for place in places.round().astype(int)]
+    place = places.first + log
+    return (place + 1) * most // places.total - place * most // places.total
+
+
+def _spread_starts(batches: Batches[Batch], count: int) -> frozenset[int]:
+    """First samples of some batches that are spread evenly over a log, or of all of them."""
+    spans = batches.spans
+    places = (np.arange(count) + 0.5) * len(spans) / max(count, 1)
+    return frozenset(spans[place].start for place in places.astype(int).tolist())
