@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from idtool.api.distribution import Distribution
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.input_files import REDUCTION_SUFFIX
+from idtool.common.notice import Notice
 from idtool.data.logs import JointLog
-from idtool.estimation.dataset.experiment import Experiment, prepare
-from idtool.estimation.reduced_experiment import prepare_reduced
+from idtool.data.logs.urls import local_copy, log_path
+from idtool.estimation.dataset.experiment import Experiment, is_about, left_out_notice, prepare
+from idtool.estimation.distributed_reduction import reduce_on_cluster
+from idtool.estimation.reduced_experiment import prepare_reduced, save_reduction
 from idtool.estimation.saved_reduction import SavedReduction, read_reduction
 
 LogSource = Log | Source
 Logs = LogSource | Sequence[LogSource]
+FileAndReduction = tuple[Path, SavedReduction]
 
 DEFAULT_HOLDOUT = 0.3  # share at the end of every log
 
@@ -30,6 +36,8 @@ def load_experiment(
     progress: Progress = lambda stage, share: None,
     transform: Callable[[JointLog], JointLog] = lambda log: log,
     takes_reductions: bool = False,
+    distribution: Distribution | None = None,
+    skip_bad: bool = False,
 ) -> Experiment:
     """Load logs, or reduced logs, and put them together with a model.
 
@@ -44,7 +52,11 @@ def load_experiment(
     transform
         Applied to every log that is read.
     takes_reductions
-        If true, the logs may be files of `idtool reduce`.
+        If true, some or all of the logs may be files of `idtool reduce`.
+    distribution
+        A cluster that reduces the logs; None: they are read here.
+    skip_bad
+        If true, logs that cannot be used are left out; a notice names them.
 
     Raises
     ------
@@ -53,13 +65,13 @@ def load_experiment(
     """
     progress("reading", 0.0)
     model = as_model(model)
-    has_reductions = any(_reduction_path(log) for log in (*as_list(logs), *as_list(validate)))
-    training_logs = [_record(log, model) for log in as_list(logs)]
-    validation_logs = [_record(log, model) for log in as_list(validate)]
+    given = _GivenLogs(as_list(logs), as_list(validate), holdout)
     try:
-        if has_reductions and takes_reductions:
-            return _with_reductions(model, as_list(logs), as_list(validate), holdout)
-        return prepare(model.robot, model.settings, training_logs, validation_logs, holdout, transform)
+        if distribution is not None:
+            return _reduced_by_cluster(model, given, distribution, skip_bad, progress)
+        if takes_reductions and given.has_reductions:
+            return _with_reductions(model, given, skip_bad, progress)
+        return _prepare(model, given.logs, given.validate, holdout, skip_bad, transform)
     except ConfigError as error:
         source = model.settings.source
         if source is None or error.where.startswith("--"):
@@ -67,33 +79,143 @@ def load_experiment(
         raise ConfigError(f"{source.path}: {error.where}", error.what) from None
 
 
+@dataclass(frozen=True)
+class _GivenLogs:
+    """Logs and reductions as they were given."""
+
+    logs: Sequence[LogSource]
+    validate: Sequence[LogSource]
+    holdout: float
+
+    @property
+    def has_reductions(self) -> bool:
+        return any(_reduction_path(log) for log in (*self.logs, *self.validate))
+
+    def without_reductions(self) -> _GivenLogs:
+        """The logs alone. Nothing of them is held out if others, maybe reductions, are for validation."""
+        logs = [log for log in self.logs if _reduction_path(log) is None]
+        validate = [log for log in self.validate if _reduction_path(log) is None]
+        return _GivenLogs(logs, validate, 0.0 if self.validate else self.holdout)
+
+    def reductions(self) -> tuple[list[FileAndReduction], list[FileAndReduction]]:
+        """The files of `idtool reduce` for the fit and for validation."""
+        training = _read_reductions(self.logs)
+        validation = _read_reductions(self.validate)
+        for path, reduction in training:
+            if not self.validate and self.holdout not in (reduction.holdout, DEFAULT_HOLDOUT):
+                what = f"{path} was made with --holdout {reduction.holdout:g}"
+                raise ConfigError("--holdout", f"{what}; make it again with idtool reduce for another one")
+        return training, validation
+
+
+def _prepare(
+    model: Model,
+    logs: Sequence[LogSource],
+    validate: Sequence[LogSource],
+    holdout: float,
+    skip_bad: bool,
+    transform: Callable[[JointLog], JointLog] = lambda log: log,
+) -> Experiment:
+    """Model and logs, which are read here."""
+    if not skip_bad:
+        training = [_record(log, model) for log in logs]
+        validation = [_record(log, model) for log in validate]
+        return prepare(model.robot, model.settings, training, validation, holdout, transform)
+    failures: list[LogError] = []
+    readable = [record for log in logs if (record := _readable(log, model, failures))]
+    readable_validation = [record for log in validate if (record := _readable(log, model, failures))]
+    while True:
+        if failures and not (readable if logs else readable_validation):
+            raise failures[0]
+        try:
+            experiment = prepare(model.robot, model.settings, readable, readable_validation, holdout, transform)
+        except LogError as error:  # a log that can be read, but not used
+            count = len(readable) + len(readable_validation)
+            readable = [log for log in readable if not is_about(error, log.path)]
+            readable_validation = [log for log in readable_validation if not is_about(error, log.path)]
+            if len(readable) + len(readable_validation) == count:
+                raise
+            failures.append(error)
+        else:
+            return replace(experiment, left_out=tuple(map(left_out_notice, failures)))
+
+
+def _readable(log: LogSource, model: Model, failures: list[LogError]) -> JointLog | None:
+    """A log that is read; None if it cannot be, and its error is then one more of the failures."""
+    try:
+        record = _record(log, model)
+        return record if isinstance(record, JointLog) else model.read_log(record).record
+    except LogError as error:
+        failures.append(error)
+        return None
+
+
+def _with_reductions(model: Model, given: _GivenLogs, skip_bad: bool, progress: Progress) -> Experiment:
+    """A model with reduced logs; logs among them are reduced here."""
+    training, validation = given.reductions()
+    others = given.without_reductions()
+    left_out: tuple[Notice, ...] = ()
+    if others.logs or others.validate:
+        experiment = _prepare(model, others.logs, others.validate, others.holdout, skip_bad)
+        left_out = experiment.left_out
+        reduction = save_reduction(experiment, others.holdout, progress)
+        of_training = tuple(log for log, run in zip(reduction.logs, experiment.runs, strict=True) if run.train)
+        of_validation = tuple(log for log, run in zip(reduction.logs, experiment.runs, strict=True) if not run.train)
+        if of_training:
+            training.append((of_training[0].path, replace(reduction, logs=of_training)))
+        if of_validation:
+            validation.append((of_validation[0].path, replace(reduction, logs=of_validation)))
+    return replace(prepare_reduced(model.robot, model.settings, training, validation), left_out=left_out)
+
+
+def _reduced_by_cluster(
+    model: Model, given: _GivenLogs, distribution: Distribution, skip_bad: bool, progress: Progress
+) -> Experiment:
+    """A model with logs that a cluster reduces, and with reductions."""
+    training, validation = given.reductions()
+    others = given.without_reductions()
+    left_out: tuple[Notice, ...] = ()
+    if others.logs or others.validate:
+        fleet = reduce_on_cluster(
+            distribution.cluster,
+            model.robot,
+            model.settings,
+            [_log_file(log) for log in others.logs],
+            [_log_file(log) for log in others.validate],
+            others.holdout,
+            distribution.folder,
+            skip_bad,
+            progress,
+        )
+        training += fleet.training
+        validation += fleet.validation
+        left_out = fleet.notices
+    return replace(prepare_reduced(model.robot, model.settings, training, validation), left_out=left_out)
+
+
+def _log_file(log: LogSource) -> Path:
+    """Path of a log, which a cluster's processes read."""
+    if isinstance(log, Log):
+        raise LogError(log.path, "was read already, and a cluster reads files; give its path")
+    return log_path(log)
+
+
 def _reduction_path(log: LogSource) -> Path | None:
     """The path of a file of `idtool reduce`, which is known by its name; None for others."""
-    if isinstance(log, Log) or Path(log).suffix.lower() != REDUCTION_SUFFIX:
+    if isinstance(log, Log) or not str(log).lower().endswith(REDUCTION_SUFFIX):
         return None
-    return Path(log)
+    return log_path(log)
 
 
-def _with_reductions(
-    model: Model, logs: Sequence[LogSource], validate: Sequence[LogSource], holdout: float
-) -> Experiment:
-    """A model with reduced logs."""
-    training = [_read_reduction(log) for log in logs]
-    validation = [_read_reduction(log) for log in validate]
-    for path, reduction in training:
-        if not validate and holdout not in (reduction.holdout, DEFAULT_HOLDOUT):
-            what = f"{path} was made with --holdout {reduction.holdout:g}"
-            raise ConfigError("--holdout", f"{what}; make it again with idtool reduce for another one")
-    return prepare_reduced(model.robot, model.settings, training, validation)
-
-
-def _read_reduction(log: LogSource) -> tuple[Path, SavedReduction]:
-    """A file of `idtool reduce`, and what is in it; LogError for a log."""
-    path = _reduction_path(log)
-    if path is None:
-        log_path = log.path if isinstance(log, Log) else Path(log)
-        raise LogError(log_path, "is a log among reductions; make a reduction of it with idtool reduce")
-    return path, read_reduction(path)
+def _read_reductions(logs: Sequence[LogSource]) -> list[FileAndReduction]:
+    """The files of `idtool reduce` among logs, and what is in them."""
+    reductions = []
+    for log in logs:
+        path = _reduction_path(log)
+        if path is not None:
+            with local_copy(path) as file:
+                reductions.append((path, read_reduction(file)))
+    return reductions
 
 
 def as_list(logs: Logs) -> list[LogSource]:
@@ -106,7 +228,7 @@ def as_list(logs: Logs) -> list[LogSource]:
 def _record(log: LogSource, model: Model) -> Path | JointLog:
     """The path of a log that is read with the configuration's options, or the record of one that was read."""
     if not isinstance(log, Log):
-        return Path(log)
+        return log_path(log)
     options = model.settings.log
     if log.as_logged and (options.columns or any(dict(options.scale).values())):
         what = "columns" if options.columns else "scale"

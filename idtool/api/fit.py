@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import cached_property, partial
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from idtool.api.data import Logs, call_text, changed_options, load_experiment
+from idtool.api.distribution import open_distribution
 from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, identified_urdf_text
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.outputs import as_json, as_yaml
@@ -120,6 +122,9 @@ def fit(
     method: Method = "ls",
     simulation: bool = True,
     quick: bool = False,
+    cluster: str | None = None,
+    reductions: str | os.PathLike[str] | None = None,
+    skip_bad: bool = False,
     progress: Progress | None = None,
 ) -> FitResult:
     """Identify inertias, friction and rotors, like `idtool fit`.
@@ -142,6 +147,14 @@ def fit(
     quick
         Only fit the model. Skip the simulation, the sources of the parameters, the comparison of logs, and the check
         of the bias from noise.
+    cluster
+        Dask cluster that reads the logs: the address or JSON file of its scheduler, or ``local:N`` for N processes on
+        this machine. Then there is no simulation and no check of the bias from noise.
+    reductions
+        Folder for the reductions that the cluster makes of the logs, which a later call takes up; None: they are not
+        kept.
+    skip_bad
+        True to leave out logs that cannot be used; a notice names each.
     progress
         Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
@@ -160,8 +173,20 @@ def fit(
     True
     """
     report_progress = progress or ignore_progress
-    experiment = load_experiment(model, logs, validate, holdout, report_progress, takes_reductions=True)
-    options = changed_options(fit, holdout=holdout, method=method, simulation=simulation, quick=quick)
+    with open_distribution(cluster, Path(reductions) if reductions else None) as distribution:
+        experiment = load_experiment(
+            model,
+            logs,
+            validate,
+            holdout,
+            report_progress,
+            takes_reductions=True,
+            distribution=distribution,
+            skip_bad=skip_bad,
+        )
+    options = changed_options(
+        fit, holdout=holdout, method=method, simulation=simulation, quick=quick, cluster=cluster, skip_bad=skip_bad
+    )
     made_by = call_text("fit", model, logs, validate=validate, **options)
     return fit_experiment(experiment, made_by, report_progress, simulation and not quick, not quick, method)
 

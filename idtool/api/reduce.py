@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 from idtool.api.data import DEFAULT_HOLDOUT, Logs, load_experiment
+from idtool.api.distribution import Distribution, open_distribution
 from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress, ignore_progress, notice_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.common.outputs import check_file
 from idtool.estimation.dataset.experiment import Experiment
-from idtool.estimation.reduced_experiment import save_reduction
+from idtool.estimation.reduced_experiment import ReducedExperiment, merged_reduction, save_reduction
 from idtool.estimation.saved_reduction import SavedReduction, write_reduction
 from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.reduction import ReducedLogReport, ReductionReport
@@ -35,6 +37,8 @@ def reduce(
     out: str | os.PathLike[str],
     *,
     holdout: float = DEFAULT_HOLDOUT,
+    cluster: str | None = None,
+    skip_bad: bool = False,
     progress: Progress | None = None,
 ) -> ReductionResult:
     """Reduce logs to what a fit needs of them, like `idtool reduce`.
@@ -51,6 +55,11 @@ def reduce(
         File to write; its name ends in ``.idr``.
     holdout
         Fraction at the end of every log that is kept for validation; at least 0 and less than 1.
+    cluster
+        Dask cluster that reads the logs: the address or JSON file of its scheduler, or ``local:N`` for N processes on
+        this machine.
+    skip_bad
+        True to leave out logs that cannot be used; a notice names each.
     progress
         Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
@@ -65,14 +74,51 @@ def reduce(
     >>> round(idtool.fit("sample_logs/leg.urdf", reduction.file, quick=True).rms.validation["overall"], 2)
     0.11
     """
-    report_progress = progress or ignore_progress
     file = check_reduction_file(Path(out))
+    with open_distribution(cluster, None) as distribution:
+        return reduce_logs(model, logs, file, holdout, distribution, skip_bad, progress or ignore_progress)
+
+
+def reduce_logs(
+    model: Model | Source,
+    logs: Logs,
+    file: Path,
+    holdout: float,
+    distribution: Distribution | None,
+    skip_bad: bool,
+    progress: Progress,
+) -> ReductionResult:
+    """Reduce logs here or by a cluster, whose reductions of single logs are removed when all are in one file.
+
+    Parameters
+    ----------
+    model, logs, holdout, skip_bad
+        As in `reduce`.
+    file
+        File to write.
+    distribution
+        A cluster that reduces the logs; None: they are read here.
+    progress
+        Called with the name of a stage and the share of it that is done.
+
+    Raises
+    ------
+    IdtoolError
+        As in `reduce`.
+    """
     model = as_model(model)
     model.settings.require_only_joints("reduce")  # the noise of other rows is that of all logs together
-    experiment = load_experiment(model, logs, (), holdout, report_progress)
-    reduction = save_reduction(experiment, holdout, report_progress)
-    report_progress("writing", 0.0)
+    experiment = load_experiment(
+        model, logs, (), holdout, progress, takes_reductions=True, distribution=distribution, skip_bad=skip_bad
+    )
+    if isinstance(experiment, ReducedExperiment):
+        reduction = merged_reduction(experiment, holdout)
+    else:
+        reduction = save_reduction(experiment, holdout, progress)
+    progress("writing", 0.0)
     write_reduction(file, reduction)
+    if distribution is not None:
+        shutil.rmtree(distribution.folder, ignore_errors=True)
     return _result(experiment, reduction, file)
 
 
@@ -105,5 +151,5 @@ def _result(experiment: Experiment, reduction: SavedReduction, file: Path) -> Re
         band_hz=reduction.band_hz,
         holdout=reduction.holdout,
         logs=tuple(logs),
-        **notice_fields((*experiment.model.notices, *reduction.notices)),
+        **notice_fields((*experiment.left_out, *experiment.model.notices, *reduction.notices)),
     )

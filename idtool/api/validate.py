@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from idtool.api.data import Logs, call_text, changed_options, load_experiment
+from idtool.api.distribution import open_distribution
 from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.arrays import Array
@@ -21,6 +23,7 @@ from idtool.estimation.evaluation.reduced_errors import TorqueEvaluator
 from idtool.estimation.evaluation.rollouts import RolloutEvaluation, evaluate_rollouts, simulation_notices
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.offset_notices import held_out_offset_notices
+from idtool.estimation.reduced_experiment import ReducedExperiment
 from idtool.reporting.fit_report import validation_report
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.validation import ValidationReport
@@ -111,6 +114,9 @@ def validate(
     prior: Model | Source | None = None,
     max_rms: float | Mapping[str, float] | None = None,
     simulation: bool = True,
+    cluster: str | None = None,
+    reductions: str | os.PathLike[str] | None = None,
+    skip_bad: bool = False,
     progress: Progress | None = None,
 ) -> ValidationResult:
     """Compute the torque and motion errors of a model on logs, like `idtool validate`.
@@ -120,7 +126,8 @@ def validate(
     model
         The model, or its URDF.
     logs
-        Paths of logs, which are read with the settings of the configuration, or `Log` objects.
+        Paths of logs, which are read with the settings of the configuration, or `Log` objects. Files of
+        `idtool.reduce` may stand in their place; then there is no simulation.
     prior
         A model of the same robot for comparison. If it has no configuration of its own, it uses that of the model, but
         without the friction values and the effects.
@@ -128,6 +135,14 @@ def validate(
         Largest accepted torque error [N·m or N], for all joints together, or by joint and ``overall``; see ``ok``.
     simulation
         True to simulate the models too.
+    cluster
+        Dask cluster that reads the logs: the address or JSON file of its scheduler, or ``local:N`` for N processes on
+        this machine. Then there is no simulation.
+    reductions
+        Folder for the reductions that the cluster makes of the logs, which a later call takes up; None: they are not
+        kept.
+    skip_bad
+        True to leave out logs that cannot be used; a notice names each.
     progress
         Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
@@ -146,9 +161,18 @@ def validate(
     """
     report_progress = progress or ignore_progress
     model = as_model(model)
-    experiment = load_experiment(model, (), logs, progress=report_progress)
+    with open_distribution(cluster, Path(reductions) if reductions else None) as distribution:
+        experiment = load_experiment(
+            model,
+            (),
+            logs,
+            progress=report_progress,
+            takes_reductions=True,
+            distribution=distribution,
+            skip_bad=skip_bad,
+        )
     bounds = _check_bounds(max_rms, experiment)
-    options = changed_options(validate, max_rms=max_rms, simulation=simulation)
+    options = changed_options(validate, max_rms=max_rms, simulation=simulation, cluster=cluster, skip_bad=skip_bad)
     if prior is not None:
         if not isinstance(prior, Model):
             prior = prior_model(Path(prior))
@@ -211,9 +235,10 @@ def validate_experiment(
         settings = prior.settings if prior.configured else experiment.config.without_friction_values()
         models["prior"] = coefficients_of(prior.robot, settings, experiment)
         sources += tuple(replace(s, kind=f"prior's {s.kind}") for s in sources_of(prior.robot, prior.settings))
-    evaluation = TorqueEvaluator(experiment, progress).evaluate(models, held_out=True)
+    reduced = experiment.logs if isinstance(experiment, ReducedExperiment) else None
+    evaluation = TorqueEvaluator(experiment, progress, reduced).evaluate(models, held_out=True)
     rollouts = None
-    if simulate:
+    if simulate and reduced is None:
         rollouts = evaluate_rollouts(experiment, models, held_out=True, progress=progress)
     simulation = simulation_report(rollouts, "model", experiment)
     notices = [*experiment.notices, *held_out_offset_notices(evaluation), *simulation_notices(rollouts, "model")]

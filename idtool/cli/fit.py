@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
+    REDUCTIONS,
+    ClusterOption,
     ConfigOption,
     HoldoutOption,
     JobsOption,
@@ -16,9 +18,11 @@ from idtool.cli.options import (
     QuickOption,
     QuietOption,
     RerunOption,
+    SkipBadOption,
     UrdfArgument,
     ValidateOption,
     command_line,
+    distribution_of,
     finish,
     output_folder,
     parse_bounds,
@@ -43,6 +47,8 @@ def fit_command(
     quick: QuickOption = False,
     rerun: RerunOption = None,
     jobs: JobsOption = None,
+    cluster: ClusterOption = None,
+    skip_bad: SkipBadOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -61,7 +67,17 @@ def fit_command(
     folder = output_folder(urdf, out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
-        experiment = load_experiment(model, logs, validate or (), holdout, progress, takes_reductions=True)
+        with distribution_of(cluster, folder / REDUCTIONS, terminal) as distribution:
+            experiment = load_experiment(
+                model,
+                logs,
+                validate or (),
+                holdout,
+                progress,
+                takes_reductions=True,
+                distribution=distribution,
+                skip_bad=skip_bad,
+            )
         bounds = parse_bounds(max_rms or [], experiment)
         simulate = not (no_simulation or quick)
         result = fit_experiment(experiment, command_line(), progress, simulate, not quick, method)

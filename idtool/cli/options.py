@@ -6,7 +6,8 @@ import math
 import os
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,12 +18,14 @@ from idtool.common.input_files import missing_file_advice
 from idtool.common.names import stem
 
 if TYPE_CHECKING:
+    from idtool.api.distribution import Distribution
     from idtool.estimation.dataset.experiment import Experiment
     from idtool.reporting.results.base import Result
     from idtool.reporting.terminal import Terminal
 
 
 LOG_FORMATS = "MCAP, CSV or a rosbag2 folder"  # that help texts name
+REDUCTIONS = "reductions"  # folder of those that a cluster made, in that of the results
 LOG_TO_WRITE = "Log to write, MCAP or CSV according to its extension"
 
 
@@ -59,6 +62,13 @@ def _limit_processes(count: int | None) -> int | None:
     return count
 
 
+def log_path_or_url(text: str) -> Path:
+    """The path of a log, or its URL as an object with a path's methods."""
+    from idtool.data.logs.urls import log_path
+
+    return log_path(text)
+
+
 def _check_rerun(file: Path | None) -> Path | None:
     """The file as given; an error, before any work is done, if rerun is missing or the file cannot be written."""
     if file is not None:
@@ -77,9 +87,11 @@ LogsArgument = Annotated[
     list[Path],
     typer.Argument(
         metavar="LOG",
-        help=f"Logs ({LOG_FORMATS}). If the first one is a bag with /robot_description, the URDF may be omitted.",
+        help=f"Logs ({LOG_FORMATS}), or their URLs. If the first one is a bag with /robot_description, the URDF may be "
+        "omitted.",
         show_default=False,
         default_factory=list,
+        parser=log_path_or_url,
         callback=require_log,
     ),
 ]
@@ -90,7 +102,12 @@ OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write t
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 HoldoutOption = Annotated[float, typer.Option(help="Fraction at the end of every log that is kept for validation.")]
 ValidateOption = Annotated[
-    list[Path] | None, typer.Option(help="A whole log for validation, instead of the holdout; repeatable.")
+    list[Path] | None,
+    typer.Option(
+        metavar="LOG",
+        parser=log_path_or_url,
+        help="A whole log for validation, instead of the holdout; repeatable.",
+    ),
 ]
 NoSimulationOption = Annotated[bool, typer.Option("--no-simulation", help="Skip the forward simulation (faster).")]
 QuickOption = Annotated[
@@ -123,6 +140,16 @@ JobsOption = Annotated[
         callback=_limit_processes,
     ),
 ]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        metavar="ADDRESS|local:N",
+        help="Dask cluster that reads the logs: address or JSON file of its scheduler, or local:N for N processes on "
+        "this machine; needs the extra 'cluster' of idtool.",
+    ),
+]
+SkipBadOption = Annotated[bool, typer.Option("--skip-bad", help="Leave out logs that cannot be used; they are named.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print only errors.")]
 MaxRmsOption = Annotated[
     list[str] | None,
@@ -169,6 +196,17 @@ ReportOnlyOption = Annotated[
     bool, typer.Option("--report-only", help="Write diagnosis.json and diagnosis.html, but no model.")
 ]
 ExplainOption = Annotated[bool, typer.Option("--explain", help="Show why each candidate was rejected.")]
+
+
+@contextmanager
+def distribution_of(address: str | None, folder: Path, terminal: Terminal) -> Iterator[Distribution | None]:
+    """The cluster that reads the logs, None without an address; reductions are kept in the folder."""
+    from idtool.api.distribution import open_distribution
+
+    with open_distribution(address, folder) as distribution:
+        if distribution is not None and distribution.cluster.dashboard:
+            terminal.say(f"dashboard of the cluster: {distribution.cluster.dashboard}")
+        yield distribution
 
 
 def output_folder(urdf: Path, out: Path | None) -> Path:

@@ -9,13 +9,17 @@ import typer
 
 from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
+    REDUCTIONS,
+    ClusterOption,
     ConfigOption,
     HoldoutOption,
     JobsOption,
     JsonOption,
     LogsArgument,
     QuietOption,
+    SkipBadOption,
     UrdfArgument,
+    distribution_of,
     finish,
 )
 
@@ -42,12 +46,14 @@ def reduce_command(
     config: ConfigOption = None,
     holdout: HoldoutOption = 0.3,
     jobs: JobsOption = None,
+    cluster: ClusterOption = None,
+    skip_bad: SkipBadOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Reduce logs to a small file, which idtool fit takes in place of the logs."""
     from idtool.api.model import Model
-    from idtool.api.reduce import check_reduction_file, reduce
+    from idtool.api.reduce import check_reduction_file, reduce_logs
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.reduction import show_reduction
 
@@ -55,6 +61,8 @@ def reduce_command(
     file = check_reduction_file(out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
-        result = reduce(model, logs, file, holdout=holdout, progress=progress)
+        parts = file.with_name(f"{file.stem}_{REDUCTIONS}")
+        with distribution_of(cluster, parts, terminal) as distribution:
+            result = reduce_logs(model, logs, file, holdout, distribution, skip_bad, progress)
     show_reduction(terminal, result)
     finish(terminal, result, {})

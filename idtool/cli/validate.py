@@ -10,6 +10,8 @@ import typer
 from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
     LOG_FORMATS,
+    REDUCTIONS,
+    ClusterOption,
     JobsOption,
     JsonOption,
     MaxRmsOption,
@@ -17,8 +19,11 @@ from idtool.cli.options import (
     OutOption,
     QuietOption,
     RerunOption,
+    SkipBadOption,
     command_line,
+    distribution_of,
     finish,
+    log_path_or_url,
     output_folder,
     parse_bounds,
     resolve_unnamed,
@@ -40,7 +45,10 @@ def validate_command(
         typer.Argument(metavar="URDF", help="The model's URDF.", show_default=False, callback=resolve_unnamed),
     ] = None,
     logs: Annotated[
-        list[Path] | None, typer.Argument(metavar="LOG", help=f"Logs ({LOG_FORMATS}).", show_default=False)
+        list[Path] | None,
+        typer.Argument(
+            metavar="LOG", help=f"Logs ({LOG_FORMATS}), or their URLs.", show_default=False, parser=log_path_or_url
+        ),
     ] = None,
     config: Annotated[
         Path | None,
@@ -52,6 +60,8 @@ def validate_command(
     no_simulation: NoSimulationOption = False,
     rerun: RerunOption = None,
     jobs: JobsOption = None,
+    cluster: ClusterOption = None,
+    skip_bad: SkipBadOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -64,13 +74,22 @@ def validate_command(
 
     terminal = Terminal(quiet, as_json)
     if urdf is None:
-        has_options = any((config, prior, out, max_rms, no_simulation, rerun))
+        has_options = any((config, prior, out, max_rms, no_simulation, rerun, cluster, skip_bad))
         _run_regression(terminal, has_options)
         return
     folder = output_folder(urdf, out)
     with terminal.progress() as progress:
         model, all_logs = Model.with_logs(urdf, logs or (), config)
-        experiment = load_experiment(model, (), all_logs, progress=progress)
+        with distribution_of(cluster, folder / REDUCTIONS, terminal) as distribution:
+            experiment = load_experiment(
+                model,
+                (),
+                all_logs,
+                progress=progress,
+                takes_reductions=True,
+                distribution=distribution,
+                skip_bad=skip_bad,
+            )
         bounds = parse_bounds(max_rms or [], experiment)
         compared_model = None if prior is None else prior_model(prior)
         result = validate_experiment(experiment, compared_model, bounds, command_line(), progress, not no_simulation)

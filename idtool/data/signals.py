@@ -10,7 +10,9 @@ Shapes: nv joints, N samples at the logged rate, n samples after decimation. Uni
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -40,6 +42,8 @@ _MAX_JITTER = 0.1  # rms of the stamps' jitter, in samples, above which differen
 _MIN_LAG = 0.25  # samples of lag of a measured velocity that are worth a word
 _MAX_NOISE_RATIO = 0.5  # a measured velocity is used where its noise is below this share of the differentiated one's
 _MIN_DEADBAND = 3e-3  # rad/s or m/s
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # malloc.h
+_KEPT_BYTES = 32 << 20  # a freed block of up to this size is kept
 _DEADBAND_FACTOR = 1.25  # tanh(v / (1.25 sigma)) is nearest to the mean of the true v's sign under noise of sigma
 
 
@@ -516,10 +520,13 @@ def _band(log: JointLog, config: Config) -> float:
 def _keep_freed_memory() -> None:
     """Let one batch have the memory that the last one freed.
 
-    glibc returns large blocks to the system, which is slow, until one of nearly 32 MiB has been freed: M_MMAP_THRESHOLD
-    in mallopt(3). Elsewhere this does nothing.
+    glibc returns large blocks to the system, which is slow, until one of nearly 32 MiB has been freed, and always if
+    the environment has MALLOC_TRIM_THRESHOLD_, as in Dask's workers; see mallopt(3). Elsewhere this does nothing.
     """
-    np.empty(31 << 20, np.uint8)
+    with suppress(OSError, AttributeError, TypeError):  # no glibc
+        libc = ctypes.CDLL(None)
+        libc.mallopt(_M_MMAP_THRESHOLD, _KEPT_BYTES)
+        libc.mallopt(_M_TRIM_THRESHOLD, 2 * _KEPT_BYTES)
 
 
 def reversals(v: Array) -> Mask:

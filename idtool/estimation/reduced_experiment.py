@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,14 +11,14 @@ from typing_extensions import override
 
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import join_names
-from idtool.common.notice import Notice
+from idtool.common.notice import Notice, unique
 from idtool.common.provenance import InputFile
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.equality_constraints import equality_constraints, with_equal_bounds
-from idtool.estimation.dataset.experiment import Experiment, Progress, sources_of
-from idtool.estimation.dataset.reduced_logs import ReducedLog, is_reducible, reduce_logs
+from idtool.estimation.dataset.experiment import Experiment, Progress, duplicate_notice, sources_of
+from idtool.estimation.dataset.reduced_logs import LogPlaces, ReducedLog, is_reducible, reduce_logs
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.row_settings import first_difference, row_settings
 from idtool.estimation.saved_reduction import SavedReduction
@@ -54,7 +54,7 @@ class ReducedExperiment(Experiment):
     @property
     @override
     def notices(self) -> tuple[Notice, ...]:
-        return (*self.model.notices, *self.log_notices)
+        return (*self.left_out, *self.model.notices, *self.log_notices)
 
     @property
     @override
@@ -99,7 +99,9 @@ class ReducedExperiment(Experiment):
         return data
 
 
-def save_reduction(experiment: Experiment, holdout: float, progress: Progress) -> SavedReduction:
+def save_reduction(
+    experiment: Experiment, holdout: float, progress: Progress, places: LogPlaces | None = None
+) -> SavedReduction:
     """Reduce the logs of an experiment.
 
     Parameters
@@ -110,6 +112,8 @@ def save_reduction(experiment: Experiment, holdout: float, progress: Progress) -
         Share of every log that was held out.
     progress
         Callback for the stage and its progress, from 0 to 1.
+    places
+        Places of its logs among others; None: there are no others.
 
     Raises
     ------
@@ -123,8 +127,8 @@ def save_reduction(experiment: Experiment, holdout: float, progress: Progress) -
         raise ConfigError("effects", f"{what}; idtool reduce cannot handle them, so fit the logs themselves")
     given = experiment.config.controller
     experiment, delay, _ = with_delay(experiment, progress)
-    model_notices = set(experiment.model.notices)
-    notices = [notice for notice in experiment.notices if notice not in model_notices]
+    not_of_logs = {*experiment.model.notices, *experiment.left_out}
+    notices = [notice for notice in experiment.notices if notice not in not_of_logs]
     if delay is not None and given is not None:
         notices += delay.notices
     return SavedReduction(
@@ -135,7 +139,31 @@ def save_reduction(experiment: Experiment, holdout: float, progress: Progress) -
         holdout=holdout,
         notices=tuple(notices),
         files=experiment.sources,
-        logs=reduce_logs(experiment, progress),
+        logs=reduce_logs(experiment, progress, places),
+    )
+
+
+def merged_reduction(experiment: ReducedExperiment, holdout: float) -> SavedReduction:
+    """One reduction of the logs of several.
+
+    Parameters
+    ----------
+    experiment
+        Model and reduced logs.
+    holdout
+        Share of every log that was held out.
+    """
+    controller = experiment.config.controller
+    known = controller.known_delay if controller is not None else None
+    return SavedReduction(
+        settings=row_settings(experiment.model, experiment.config, experiment.band_hz),
+        coefficients=tuple(c.key for c in experiment.equation.coefficients),
+        band_hz=experiment.band_hz,
+        delay=None if known is None else known.value,
+        holdout=holdout,
+        notices=experiment.log_notices,
+        files=experiment.sources,
+        logs=experiment.logs,
     )
 
 
@@ -177,7 +205,7 @@ def prepare_reduced(
     for _, reduction in validate:
         logs += map(_all_for_validation, reduction.logs)
     equalities = equality_constraints(config, model, equation)
-    notices = dict.fromkeys(notice for _, reduction in every for notice in reduction.notices)
+    notices = [*_duplicate_notices(reductions), *_notices_of_logs([reduction for _, reduction in every])]
     files = [file for _, reduction in every for file in reduction.files if file.kind in _LOG_FILES]
     return ReducedExperiment(
         config,
@@ -187,9 +215,29 @@ def prepare_reduced(
         (),
         logs=tuple(logs),
         band=first.band_hz,
-        log_notices=tuple(notices),
+        log_notices=unique(notices),
         files=tuple(dict.fromkeys(files)),
     )
+
+
+def _notices_of_logs(reductions: Sequence[SavedReduction]) -> Iterator[Notice]:
+    """Notices about logs; one about a log that was reduced alone names it, if there are others."""
+    for reduction in reductions:
+        is_one_of_many = len(reduction.logs) == 1 and len(reductions) > 1
+        for notice in reduction.notices:
+            yield notice.in_log(reduction.logs[0].name) if is_one_of_many else notice
+
+
+def _duplicate_notices(reductions: Sequence[tuple[Path, SavedReduction]]) -> Iterator[Notice]:
+    """Notices about reductions of the same logs."""
+    names_by_content: dict[tuple[str | None, ...], list[str]] = {}
+    for path, reduction in reductions:
+        content = tuple(file.sha256 for file in reduction.files if file.kind == "log")
+        if content and None not in content:
+            names_by_content.setdefault(content, []).append(path.name)
+    for names in names_by_content.values():
+        if len(names) > 1:
+            yield duplicate_notice(names)
 
 
 def _with_fitted_settings(config: Config, reduction: SavedReduction) -> Config:

@@ -13,7 +13,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from idtool.common.notice import Notice
 from idtool.common.outputs import OutputError
 from idtool.common.provenance import InputFile
 from idtool.common.version import VERSION
+from idtool.data.logs.urls import log_path
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.extreme_rows import ExtremeRows
 from idtool.estimation.dataset.reduced_logs import ReducedLog
@@ -83,16 +84,20 @@ def write_reduction(path: Path, reduction: SavedReduction) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         try:
-            with zipfile.ZipFile(temporary, "w") as archive:
-                archive.writestr(_HEADER, json.dumps(_header(reduction), allow_nan=False))
-                for name, array in _arrays(reduction):
-                    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                        np.lib.format.write_array(member, array, allow_pickle=False)
+            with temporary.open("wb") as file:
+                _write(file, reduction)
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(path, f"cannot be written to ({error.strerror}); give another --out") from None
+
+
+def reduction_bytes(reduction: SavedReduction) -> bytes:
+    """Content of a file."""
+    content = io.BytesIO()
+    _write(content, reduction)
+    return content.getvalue()
 
 
 def read_reduction(path: Path) -> SavedReduction:
@@ -111,6 +116,14 @@ def read_reduction(path: Path) -> SavedReduction:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
     except (zipfile.BadZipFile, KeyError, ValueError, TypeError, IndexError, EOFError, NotImplementedError):
         raise LogError(path, "is not a reduction, or is damaged; make it again with idtool reduce") from None
+
+
+def _write(file: BinaryIO, reduction: SavedReduction) -> None:
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr(_HEADER, json.dumps(_header(reduction), allow_nan=False))
+        for name, array in _arrays(reduction):
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
 
 
 def _check_size(path: Path, archive: zipfile.ZipFile) -> None:
@@ -211,7 +224,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> SavedReduction:
                 of_kind.append(_PartReader(f"{i}/{kind}/{k}", array).part(part))
         logs.append(
             ReducedLog(
-                path=Path(log["path"]),
+                path=_path(log["path"]),
                 unknown_torque=tuple(log["unknown_torque"]),
                 has_commands=bool(log["has_commands"]),
                 row_step=float(log["row_step"]),
@@ -230,6 +243,14 @@ def _read(path: Path, archive: zipfile.ZipFile) -> SavedReduction:
         files=tuple(InputFile(**file) for file in header["files"]),
         logs=tuple(logs),
     )
+
+
+def _path(text: str) -> Path:
+    """Path of a log; that of a URL which cannot be opened here is only a name."""
+    try:
+        return log_path(text)
+    except LogError:
+        return Path(text)
 
 
 def _coefficient_key(plain: Sequence[Any]) -> CoefficientKey:

@@ -152,7 +152,7 @@ def test_a_block_is_four_periods_doubled_until_there_are_few_enough(
 
     def is_enough(n: int) -> bool:
         counts = [-(-count // n) for count in rows]
-        return sum(counts) <= max(most, len(rows)) and max(counts) <= max(2 * most // len(rows), 4)
+        return sum(counts) <= max(most, len(rows)) and max(counts) <= max(most // len(rows), 4)
 
     assert is_enough(length)
     assert length == shortest or not is_enough(length // 2)

@@ -29,7 +29,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import BinaryIO, Protocol, cast
+from typing import Any, BinaryIO, Protocol, cast
 
 from idtool.common.exceptions import LogError
 from idtool.common.input_files import REDUCTION_SUFFIX, missing_file_advice
@@ -41,6 +41,7 @@ from idtool.data.logs.log import SIGNALS, JointLog, make_log
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
 from idtool.data.logs.sensor_channels import SensorOptions
 from idtool.data.logs.stored_arrays import count_arrays
+from idtool.data.logs.urls import is_url, local_copy, log_path
 
 __all__ = ["SIGNALS", "JointLog", "check_log_file", "is_bag", "log_suffixes", "make_log", "read_log", "write_log"]
 
@@ -85,7 +86,7 @@ def read_log(
     Parameters
     ----------
     path
-        The file, or a rosbag2 folder. The contents of a file determine the format, not its name.
+        The file, its URL, or a rosbag2 folder. The contents of a file determine the format, not its name.
     topic
         The topic that carries the joint states, if the log has several.
     columns
@@ -102,7 +103,9 @@ def read_log(
     LogError
         If the file cannot be read, or lacks a topic, column, signal or joint that the options name.
     """
-    path = Path(path)
+    path = log_path(path)
+    if is_url(path):
+        return _read_url(path, topic=topic, columns=columns, scale=scale, sensors=sensors, messages=messages)
     try:
         log = _read(path, topic, columns, sensors, messages)
         sources = [source_from_file("log", file) for file in log_files(path)]
@@ -113,6 +116,17 @@ def read_log(
     _apply_scale(log, scale)
     count_arrays([*log.signals.values(), *(channel.x for channel in log.channels.values())])
     return replace(log, sources=tuple(sources))
+
+
+def _read_url(url: Path, **options: Any) -> JointLog:
+    """A log behind a URL, with the options of `read_log`."""
+    with local_copy(url) as copy:
+        try:
+            log = read_log(copy, **options)
+        except LogError as error:
+            raise LogError(url, error.what) from None
+    sources = tuple(replace(source, path=str(url)) for source in log.sources)
+    return replace(log, path=url, sources=sources)
 
 
 def _read(

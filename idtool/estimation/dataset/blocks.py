@@ -90,7 +90,7 @@ def block_rows(rows: Sequence[int], steps: Sequence[float], band_hz: float, most
         Number of logs of which these are some. The more there are, the fewer blocks one of them has.
     """
     shortest = [max(int(np.ceil(_PERIODS / band_hz / step)), 1) for step in steps]
-    most_of_log = max(2 * most // logs, _FEWEST_BLOCKS_OF_LOG)
+    most_of_log = max(most // logs, _FEWEST_BLOCKS_OF_LOG)
     factor = 1
     while True:
         lengths = [factor * length for length in shortest]

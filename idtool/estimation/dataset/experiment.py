@@ -106,6 +106,8 @@ class Experiment:
         Batches and columns that are kept for other models of the same logs; None: none are.
     comparison_notices
         Those of the `notices` that a comparison of the logs with the model gave, without the logs' names.
+    left_out
+        Notices about logs that were given and cannot be used.
     """
 
     config: Config
@@ -115,11 +117,13 @@ class Experiment:
     runs: tuple[Run, ...]
     cache: BatchCache | None = None
     comparison_notices: tuple[Notice, ...] = ()
+    left_out: tuple[Notice, ...] = ()
 
     @property
     def notices(self) -> tuple[Notice, ...]:
         """Notices about model and logs."""
-        notices = [*self.model.notices, *self._moving_joints_notice(), *self._same_recording_notices()]
+        notices = [*self.left_out, *self.model.notices]
+        notices += [*self._moving_joints_notice(), *self._same_recording_notices()]
         controller = self.config.controller
         if self.has_commands and controller is not None and controller.known_delay is None:
             message = "the delay is not known, so 0 is used; idtool fit determines it"
@@ -139,13 +143,7 @@ class Experiment:
         """Notices about logs that hold the same recording."""
         fitted = [run.signals.log for run in self.runs if run.train]
         for group in same_recordings(fitted):
-            names = distinct_names(group)
-            if len(names) > 1:
-                message = f"the same recording is in {join_names(names)}"
-            else:
-                message = f"{join_names(names)} is given more than once"
-            advice = "give it once: standard errors are too small, and that these logs agree confirms nothing"
-            yield Notice("duplicate_log", "warning", None, message, advice)
+            yield duplicate_notice(distinct_names(group))
         for run in self.runs:
             log = run.signals.log
             same = [other for other in fitted if not run.train and is_same_recording(other, log)]
@@ -335,6 +333,26 @@ class Experiment:
             what += "; log a motion of the joint, or lock the joint by leaving it out of joints"
             raise LogError(self.runs[0].signals.log.path, f"joint {join_names(still)} {what}")
         return data
+
+
+def is_about(error: LogError, log: Path) -> bool:
+    """True if an error is about a log."""
+    return error.where == LogError(log, error.what).where
+
+
+def left_out_notice(error: LogError) -> Notice:
+    """Notice about a log that is left out, since it cannot be used."""
+    return Notice("log_left_out", "warning", Path(error.where).name, "the log is left out", str(error))
+
+
+def duplicate_notice(names: Sequence[str]) -> Notice:
+    """Notice about logs that hold the same recording."""
+    if len(set(names)) > 1:
+        message = f"the same recording is in {join_names(names)}"
+    else:
+        message = f"{names[0]} is given more than once"
+    advice = "give it once: standard errors are too small, and that these logs agree confirms nothing"
+    return Notice("duplicate_log", "warning", None, message, advice)
 
 
 def _travel(log: JointLog, joint: str) -> float:

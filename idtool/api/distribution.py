@@ -1,0 +1,51 @@
+"""`Distribution`: a cluster that reduces logs, and the folder of the reductions."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from idtool.common.cluster import Cluster, open_cluster
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """A cluster that reduces logs.
+
+    Attributes
+    ----------
+    cluster
+        The cluster.
+    folder
+        Where the reductions of the logs are written. Those that are there, made from the same files with the same
+        settings, are not made again.
+    """
+
+    cluster: Cluster
+    folder: Path
+
+
+@contextmanager
+def open_distribution(address: str | None, folder: Path | None) -> Iterator[Distribution | None]:
+    """Connect to a cluster, which is needed no longer than logs are read.
+
+    Parameters
+    ----------
+    address
+        See `open_cluster`; None: logs are read in this process.
+    folder
+        Where reductions of logs are kept; None: nowhere.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such cluster.
+    """
+    if address is None:
+        yield None
+        return
+    with tempfile.TemporaryDirectory(prefix="idtool-") as temporary, open_cluster(address) as cluster:
+        yield Distribution(cluster, folder or Path(temporary))
