@@ -7,6 +7,7 @@ import logging
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any, TypeVar
 
 from idtool.common.exceptions import ConfigError
@@ -17,7 +18,7 @@ Result = TypeVar("Result")
 
 _OPTION = "--cluster"
 _LOCAL = re.compile(r"local:(\d{1,4})")
-_SECONDS_TO_CONNECT = 15
+_SECONDS_TO_CONNECT = 10
 _SECONDS_TO_FIRST_WORKER = 120
 _RETRIES = 2  # of an evaluation that raises an error
 _TASKS_PER_THREAD = 3  # that are given out at once: each holds its item in memory
@@ -110,7 +111,10 @@ def open_cluster(address: str) -> Iterator[Cluster]:
             if local:
                 client = stack.enter_context(_local_client(int(local[1])))
             else:
-                where = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
+                where = {"address": address}
+                if address.endswith(".json"):
+                    Path(address).read_bytes()  # Dask would wait for a file that is not there
+                    where = {"scheduler_file": address}
                 client = stack.enter_context(Client(timeout=_SECONDS_TO_CONNECT, set_as_default=False, **where))
         except (OSError, ValueError, TypeError) as error:
             reason = str(error) or type(error).__name__

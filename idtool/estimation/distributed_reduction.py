@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -197,7 +197,7 @@ def _reductions(
 ) -> tuple[dict[int, SavedReduction], dict[int, LogError]]:
     """Reductions of logs, and the errors of those that have none, by their numbers."""
     reductions: dict[int, SavedReduction] = {}
-    failures: dict[int, LogError] = {}
+    failures: dict[int, Exception] = {}
     missing = []
     names = {i: task.file_name for i, task in tasks.items()}
     for i in tasks:
@@ -214,9 +214,10 @@ def _reductions(
             _write(file, outcome)
             reductions[i] = read_reduction(file)
         else:
-            failures[i] = _log_error(tasks[i].path, outcome)
+            failures[i] = outcome
+            _check_not_in_general(failures.values(), len(reductions), min(len(tasks), cluster.threads + 1))
         progress(stage, (len(reductions) + len(failures)) / len(tasks))
-    return reductions, failures
+    return reductions, {i: _log_error(tasks[i].path, error) for i, error in failures.items()}
 
 
 def _written_reduction(file: Path) -> SavedReduction | None:
@@ -236,13 +237,20 @@ def _write(file: Path, content: bytes) -> None:
             other.unlink(missing_ok=True)
 
 
+def _check_not_in_general(failures: Collection[Exception], successes: int, enough: int) -> None:
+    """Raise the first of some errors if all logs have one that is not about the log."""
+    if successes or len(failures) < enough:
+        return
+    errors = [error for error in failures if isinstance(error, IdtoolError) and not isinstance(error, LogError)]
+    if len(errors) == len(failures):
+        raise errors[0]
+
+
 def _log_error(path: Path, error: Exception) -> LogError:
-    """Error about a log; any other error that a user can act on is raised."""
-    if isinstance(error, LogError):
-        return error
-    if isinstance(error, IdtoolError):
-        raise error
-    return LogError(path, f"could not be reduced: {error or type(error).__name__}")
+    """Error about a log."""
+    return (
+        error if isinstance(error, LogError) else LogError(path, f"cannot be reduced: {error or type(error).__name__}")
+    )
 
 
 def _check_failures(failures: Mapping[int, LogError], skip_bad: bool) -> None:

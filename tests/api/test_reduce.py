@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from commands import LEG, TRAIN, VALIDATE, idtool
+from figures import assert_same_figures
 from paths import SAMPLES
 
 import idtool as package
@@ -41,22 +42,6 @@ def settings(**changes: object) -> dict[str, Any]:
     """The sample leg's configuration with changes."""
     config = yaml.safe_load((SAMPLES / "leg.yaml").read_text())
     return {**config, **changes}
-
-
-def assert_same_figures(a: Any, b: Any, where: str = "") -> None:
-    """Plain data are equal but for rounding of numbers."""
-    if isinstance(a, dict):
-        assert a.keys() == b.keys(), where
-        for key, value in a.items():
-            assert_same_figures(value, b[key], f"{where}.{key}")
-    elif isinstance(a, list):
-        assert len(a) == len(b), where
-        for i, (x, y) in enumerate(zip(a, b, strict=True)):
-            assert_same_figures(x, y, f"{where}[{i}]")
-    elif isinstance(a, float):
-        assert a == pytest.approx(b, rel=1e-9, abs=1e-12), where
-    else:
-        assert a == b, where
 
 
 PRIORS: dict[str, dict[str, Any]] = {

@@ -424,6 +424,7 @@ def prepare(
     fitted = [transform(_read(log, config, robot)) for log in logs]
     validated = [transform(_read(log, config, robot)) for log in validate]
     every = (*fitted, *validated)
+    _check_joints(every, config)
     common = [name for name in every[0].joints if all(name in log.joints for log in every)]
     model = build_model(robot, config, common)
     for log in every:
@@ -609,6 +610,15 @@ def _read(log: Path | JointLog, config: Config, robot: Robot) -> JointLog:
     if config.wrench_sensors:
         log = with_unknown_torque(log, config.controller)
     return without_constant_torque(log, config.controller)
+
+
+def _check_joints(logs: Sequence[JointLog], config: Config) -> None:
+    """Refuse a log that lacks a joint of the configuration which another log has."""
+    for name in config.joints or ():
+        without = [log for log in logs if name not in log.joints]
+        if without and len(without) < len(logs):
+            what = f"has no joint {name}, which the configuration lists under joints and other logs have"
+            raise LogError(without[0].path, f"{what}; leave out the log, or the joint")
 
 
 def _check_signals(log: JointLog, joints: Sequence[str]) -> None:

@@ -1,0 +1,23 @@
+"""Figures of results that must agree."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+
+def assert_same_figures(a: Any, b: Any, where: str = "") -> None:
+    """Plain data are equal but for rounding of numbers."""
+    if isinstance(a, dict):
+        assert a.keys() == b.keys(), where
+        for key, value in a.items():
+            assert_same_figures(value, b[key], f"{where}.{key}")
+    elif isinstance(a, list):
+        assert len(a) == len(b), where
+        for i, (x, y) in enumerate(zip(a, b, strict=True)):
+            assert_same_figures(x, y, f"{where}[{i}]")
+    elif isinstance(a, float):
+        assert a == pytest.approx(b, rel=1e-9, abs=1e-12), where
+    else:
+        assert a == b, where
