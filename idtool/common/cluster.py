@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import logging
 import re
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -133,7 +134,19 @@ def _local_client(count: int) -> Iterator[Any]:
         raise ConfigError(_OPTION, "local:0 has no process; give local:N with N of at least 1")
     options = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": logging.CRITICAL}
     with LocalCluster(**options) as cluster, Client(cluster, set_as_default=False) as client:
+        client.register_plugin(_without_interrupt())
         yield client
+
+
+def _without_interrupt() -> Any:
+    """Plugin by which workers ignore Ctrl-C, which goes to all processes of a terminal: the first one ends them."""
+    from distributed import WorkerPlugin
+
+    class WithoutInterrupt(WorkerPlugin):  # type: ignore[misc]  # its type is not known
+        def setup(self, worker: Any) -> None:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    return WithoutInterrupt()
 
 
 def _check_workers(client: Any, address: str) -> None:
