@@ -18,8 +18,10 @@ from idtool.data.logs import JointLog
 from idtool.data.logs.urls import local_copy, log_path
 from idtool.estimation.dataset.experiment import Experiment, is_about, left_out_notice, prepare
 from idtool.estimation.distributed_reduction import reduce_on_cluster
+from idtool.estimation.fleet import check_fleet
 from idtool.estimation.reduced_experiment import prepare_reduced, save_reduction
 from idtool.estimation.saved_reduction import SavedReduction, read_reduction
+from idtool.robot.config.pool import Pool
 
 LogSource = Log | Source
 Logs = LogSource | Sequence[LogSource]
@@ -38,6 +40,7 @@ def load_experiment(
     takes_reductions: bool = False,
     distribution: Distribution | None = None,
     skip_bad: bool = False,
+    pool: Pool | None = None,
 ) -> Experiment:
     """Load logs, or reduced logs, and put them together with a model.
 
@@ -57,6 +60,8 @@ def load_experiment(
         A cluster that reduces the logs; None: they are read here.
     skip_bad
         If true, logs that cannot be used are left out; a notice names them.
+    pool
+        The fleet that the logs are of, which are reduced then; None: they are of one robot.
 
     Raises
     ------
@@ -68,10 +73,14 @@ def load_experiment(
     given = _GivenLogs(as_list(logs), as_list(validate), holdout)
     try:
         if distribution is not None:
-            return _reduced_by_cluster(model, given, distribution, skip_bad, progress)
-        if takes_reductions and given.has_reductions:
-            return _with_reductions(model, given, skip_bad, progress)
-        return _prepare(model, given.logs, given.validate, holdout, skip_bad, transform)
+            experiment = _reduced_by_cluster(model, given, distribution, skip_bad, progress)
+        elif pool is not None or (takes_reductions and given.has_reductions):
+            experiment = _with_reductions(model, given, skip_bad, progress)
+        else:
+            experiment = _prepare(model, given.logs, given.validate, holdout, skip_bad, transform)
+        if pool is not None:
+            check_fleet(pool, experiment)
+        return experiment
     except ConfigError as error:
         source = model.settings.source
         if source is None or error.where.startswith("--"):

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from idtool.api.data import Logs, call_text, changed_options, load_experiment
-from idtool.api.distribution import open_distribution
-from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, identified_urdf_text
+from idtool.api.distribution import Distribution, open_distribution
+from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, as_model, identified_urdf_text
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.outputs import as_json, as_yaml
 from idtool.common.processes import Background
@@ -22,6 +22,7 @@ from idtool.diagnosis.residual_maps import residual_maps
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.fit import Fit
 from idtool.estimation.fit import fit as run_fit
+from idtool.estimation.fleet import Fleet, fit_fleet
 from idtool.estimation.identification import Method
 from idtool.estimation.reduced_experiment import ReducedExperiment
 from idtool.reporting.fit_report import fit_report, model_config
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from idtool.api.results import RecordingData
 
 _UNCORRECTABLE_FAULTS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped_position")
+ROBOTS = "robots"  # folder with a folder for the model of each robot of a fleet
 _MAX_MASSES = 6  # in a result's repr
 
 
@@ -41,6 +43,7 @@ class FitResult(FitReport, SavableResult, Recordable):
     """An identified model and its errors and uncertainty. The fields are those of report.json."""
 
     _fit: Fit
+    _fleet: Fleet | None
     _residual_maps: tuple[ProfilesByJoint, ProfilesByJoint] | None  # of the prior and the identified model
     _made_by: str
 
@@ -52,14 +55,14 @@ class FitResult(FitReport, SavableResult, Recordable):
     def _files(self, folder: Path, made_by: str) -> dict[str, str | bytes]:
         from idtool.reporting.pages.fit import fit_page
 
-        urdf = self._fit.experiment.model.robot.path.name
-        header = f"Identified by idtool from {urdf}. Together with identified.urdf it is the identified model."
-        return {
-            IDENTIFIED_URDF: identified_urdf_text(self._fit, folder),
-            MODEL_YAML: as_yaml(model_config(self._fit, folder), header),
-            "report.json": as_json(self.to_json()),
-            "report.html": fit_page(self._fit, self, made_by, self._residual_maps),
-        }
+        files = _model_files(self._fit, folder)
+        files["report.json"] = as_json(self.to_json())
+        files["report.html"] = fit_page(self._fit, self, made_by, self._residual_maps)
+        for robot in self._fleet.robots if self._fleet else ():
+            own_folder = Path(ROBOTS, robot.name)
+            for name, content in _model_files(robot.fit, folder / own_folder).items():
+                files[str(own_folder / name)] = content
+        return files
 
     def _recording_data(self) -> RecordingData:
         from idtool.api.recording import fit_traces
@@ -111,6 +114,16 @@ class FitResult(FitReport, SavableResult, Recordable):
         lines.append(f"  mass [kg]: {mass_text}")
         lines += notice_lines(self.notices)
         return "\n".join(lines)
+
+
+def _model_files(fit: Fit, folder: Path) -> dict[str, str | bytes]:
+    """The files of an identified model, for a folder, by name."""
+    urdf = fit.experiment.model.robot.path.name
+    header = f"Identified by idtool from {urdf}. Together with identified.urdf it is the identified model."
+    return {
+        IDENTIFIED_URDF: identified_urdf_text(fit, folder),
+        MODEL_YAML: as_yaml(model_config(fit, folder), header),
+    }
 
 
 def fit(
@@ -173,22 +186,54 @@ def fit(
     True
     """
     report_progress = progress or ignore_progress
+    model = as_model(model)
     with open_distribution(cluster, Path(reductions) if reductions else None) as distribution:
-        experiment = load_experiment(
-            model,
-            logs,
-            validate,
-            holdout,
-            report_progress,
-            takes_reductions=True,
-            distribution=distribution,
-            skip_bad=skip_bad,
-        )
+        experiment = load_for_fit(model, logs, validate, holdout, distribution, skip_bad, report_progress)
     options = changed_options(
         fit, holdout=holdout, method=method, simulation=simulation, quick=quick, cluster=cluster, skip_bad=skip_bad
     )
     made_by = call_text("fit", model, logs, validate=validate, **options)
     return fit_experiment(experiment, made_by, report_progress, simulation and not quick, not quick, method)
+
+
+def load_for_fit(
+    model: Model,
+    logs: Logs,
+    validate: Logs,
+    holdout: float,
+    distribution: Distribution | None,
+    skip_bad: bool,
+    progress: Progress,
+) -> Experiment:
+    """Put a model and its logs together for `fit_experiment`.
+
+    Parameters
+    ----------
+    model
+        The model. If its configuration has a pool, the logs are reduced.
+    logs, validate, holdout, skip_bad
+        As in `fit`.
+    distribution
+        A cluster that reduces the logs; None: they are read here.
+    progress
+        Called with the name of a stage and the share of it that is done.
+
+    Raises
+    ------
+    IdtoolError
+        If a log, the configuration or the model cannot be used.
+    """
+    return load_experiment(
+        model,
+        logs,
+        validate,
+        holdout,
+        progress,
+        takes_reductions=True,
+        distribution=distribution,
+        skip_bad=skip_bad,
+        pool=model.settings.pool,
+    )
 
 
 def fit_experiment(
@@ -228,14 +273,19 @@ def fit_experiment(
             check = stack.enter_context(Background(partial(find_data_faults, experiment)))
         solved = run_fit(experiment, progress, simulate and has_samples, analyze_uncertainty, method)
         faults = check.result(progress) if check is not None else ()
+    fleet = None
+    if experiment.config.pool is not None:
+        fleet = fit_fleet(solved, progress)
+        solved = fleet.fit
     uncorrectable = [fault for fault in faults if fault.code in _UNCORRECTABLE_FAULTS]
     solved = replace(solved, notices=(*uncorrectable, *solved.notices))
     if analyze_uncertainty and has_samples:
         prior_maps = residual_maps(solved.experiment, experiment.equation.prior, progress)
         identified_maps = residual_maps(solved.experiment, solved.estimate.theta, progress)
         maps = (prior_maps, identified_maps)
-    result = FitResult.from_result(fit_report(solved))
+    result = FitResult.from_result(fit_report(solved, fleet))
     result._fit = solved
+    result._fleet = fleet
     result._residual_maps = maps
     result._made_by = made_by
     return result

@@ -56,8 +56,7 @@ def fit_command(
     from idtool.reporting.pages.plotly_js import prepare_plotly
 
     prepare_plotly()
-    from idtool.api.data import load_experiment
-    from idtool.api.fit import fit_experiment
+    from idtool.api.fit import fit_experiment, load_for_fit
     from idtool.api.model import Model
     from idtool.reporting.fit_report import met_bounds
     from idtool.reporting.terminal import Terminal
@@ -68,16 +67,7 @@ def fit_command(
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
         with distribution_of(cluster, folder / REDUCTIONS, terminal) as distribution:
-            experiment = load_experiment(
-                model,
-                logs,
-                validate or (),
-                holdout,
-                progress,
-                takes_reductions=True,
-                distribution=distribution,
-                skip_bad=skip_bad,
-            )
+            experiment = load_for_fit(model, logs, validate or (), holdout, distribution, skip_bad, progress)
         bounds = parse_bounds(max_rms or [], experiment)
         simulate = not (no_simulation or quick)
         result = fit_experiment(experiment, command_line(), progress, simulate, not quick, method)

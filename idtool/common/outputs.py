@@ -33,6 +33,8 @@ def as_yaml(data: Mapping[str, Any], header: str) -> str:
 def write_all(folder: Path, files: Mapping[str, str | bytes]) -> None:
     """Write files into a folder: all into a temporary folder first, then each moved into place.
 
+    A name may be a path within the folder.
+
     Raises
     ------
     OutputError
@@ -46,7 +48,9 @@ def write_all(folder: Path, files: Mapping[str, str | bytes]) -> None:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".idtool-") as scratch:
             for name, content in files.items():
                 data = content.encode() if isinstance(content, str) else content
+                Path(scratch, name).parent.mkdir(parents=True, exist_ok=True)
                 Path(scratch, name).write_bytes(data)
+                Path(folder, name).parent.mkdir(parents=True, exist_ok=True)
             with delay_interrupt():
                 for name in files:
                     os.replace(Path(scratch, name), folder / name)

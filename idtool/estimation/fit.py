@@ -27,6 +27,7 @@ from idtool.estimation.row_noise import with_row_noise
 from idtool.estimation.sensor_drift import with_sensor_drift
 from idtool.estimation.uncertainty import UncertaintyAnalysis, uncertainty_analysis
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
+from idtool.robot.body import Body
 from idtool.robot.config import EffectEntry, Regularization
 from idtool.robot.inertia import PI_SIZE
 from idtool.robot.sets import ConstraintSet
@@ -46,6 +47,8 @@ class Fit:
         Least squares, or instrumental variables.
     sets
         The constraint set of each body.
+    prior
+        The bodies that the fit was pulled towards; see `prior_bodies`.
     estimate
         The coefficients with their certificate.
     regularization
@@ -69,6 +72,7 @@ class Fit:
     experiment: Experiment
     method: Method
     sets: tuple[ConstraintSet, ...]
+    prior: tuple[Body, ...]
     estimate: Estimate
     regularization: Regularization
     path: RegularizationPath | None
@@ -208,6 +212,7 @@ def fit(
         experiment=experiment,
         method=method,
         sets=identification.sets,
+        prior=identification.prior,
         estimate=estimate,
         regularization=identification.regularization,
         path=identification.path,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Protocol
 
 import numpy as np
 
@@ -11,10 +12,10 @@ from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.evaluation.torque_errors import Evaluation, overall_rms
-from idtool.estimation.identification import Identification
-from idtool.estimation.problem.estimate import stuck_note, unfinished_note
+from idtool.estimation.problem.estimate import Estimate, stuck_note, unfinished_note
 from idtool.estimation.problem.prior import moved_priors
 from idtool.robot.body import Body
+from idtool.robot.config import Regularization
 from idtool.robot.inertia import PI_SIZE, is_realizable, pseudo_inertia
 
 _MASS_RATIO = 3.0  # to its mass in the prior, of a body that is too heavy or too light
@@ -26,8 +27,24 @@ _ABSURD = 30.0  # the prior's torque error relative to the measured torque's spr
 _THIN_SHAPES = ("plate", "needle", "point")  # by how many axes a body has no extent along
 
 
+class EstimateWithPrior(Protocol):
+    """An estimate with the prior that it was pulled towards, such as an `Identification` or a `Fit`."""
+
+    @property
+    def estimate(self) -> Estimate:
+        """The coefficients."""
+
+    @property
+    def prior(self) -> tuple[Body, ...]:
+        """The prior's bodies."""
+
+    @property
+    def regularization(self) -> Regularization:
+        """The prior's kind and weight."""
+
+
 def fit_notices(
-    experiment: Experiment, identification: Identification, evaluation: Evaluation, held_out: bool
+    experiment: Experiment, identified: EstimateWithPrior, evaluation: Evaluation, held_out: bool
 ) -> list[Notice]:
     """Notices about an identified model.
 
@@ -36,24 +53,24 @@ def fit_notices(
     experiment
         Model and data.
     identification
-        The identification.
+        The identified.
     evaluation
         Errors of the ``identified`` and the ``prior`` model.
     held_out
         True if these are on held-out data.
     """
     return [
-        *_solver_notices(experiment, identification),
-        *_realizability_notices(experiment, identification),
-        *_mass_notices(experiment, identification),
-        *_shape_notices(experiment, identification),
-        *_error_notices(experiment, evaluation, identification, held_out),
+        *_solver_notices(experiment, identified),
+        *_realizability_notices(experiment, identified),
+        *_mass_notices(experiment, identified),
+        *_shape_notices(experiment, identified),
+        *_error_notices(experiment, evaluation, identified, held_out),
     ]
 
 
-def _solver_notices(experiment: Experiment, identification: Identification) -> Iterator[Notice]:
+def _solver_notices(experiment: Experiment, identified: EstimateWithPrior) -> Iterator[Notice]:
     """Solvers that failed or fell short."""
-    certificate = identification.estimate.certificate
+    certificate = identified.estimate.certificate
     if experiment.config.solver.name == "clarabel" != certificate.name:
         message = f"Clarabel could not solve the problem directly; {certificate.name} solved it"
         yield Notice("other_solver_used", "note", None, message)
@@ -64,32 +81,32 @@ def _solver_notices(experiment: Experiment, identification: Identification) -> I
         yield Notice("parameters_not_at_optimum", "warning", None, unfinished, advice)
 
 
-def _realizability_notices(experiment: Experiment, identification: Identification) -> Iterator[Notice]:
+def _realizability_notices(experiment: Experiment, identified: EstimateWithPrior) -> Iterator[Notice]:
     """Bodies that are not realizable."""
-    unreal = [body.name for body, pi in _bodies(identification) if not is_realizable(pi)]
+    unreal = [body.name for body, pi in _bodies(identified) if not is_realizable(pi)]
     if unreal:
         message = f"the parameters of {', '.join(unreal)} are not realizable: a URDF must not contain them"
         yield Notice("not_realizable", "problem", None, message)
-    as_given = identification.prior is experiment.model.bodies
-    moved = moved_priors(experiment.equation, identification.prior, identification.regularization) if as_given else ()
+    as_given = identified.prior is experiment.model.bodies
+    moved = moved_priors(experiment.equation, identified.prior, identified.regularization) if as_given else ()
     if moved:
         message = f"the prior of {', '.join(moved)} is not realizable; the nearest realizable one is used"
         yield Notice("prior_not_realizable", "warning", None, message)
 
 
-def _mass_notices(experiment: Experiment, identification: Identification) -> Iterator[Notice]:
+def _mass_notices(experiment: Experiment, identified: EstimateWithPrior) -> Iterator[Notice]:
     """Masses that differ from the prior's by more than is plausible."""
     measured = experiment.config.known.total_mass
     advice = "" if measured else "weigh the robot and give known.total_mass"
-    prior = sum(float(body.pi[0]) for body in identification.prior)
-    total = sum(float(pi[0]) for _, pi in _bodies(identification))
+    prior = sum(float(body.pi[0]) for body in identified.prior)
+    total = sum(float(pi[0]) for _, pi in _bodies(identified))
     if measured is None and prior > 0 and not 1 - _TOTAL_MASS_CHANGE < total / prior < 1 + _TOTAL_MASS_CHANGE:
         message = f"the total mass is {total:.3g} kg, but {prior:.3g} kg in the prior"
         if experiment.has_only_joints:
             message = f"{message}; logs seldom determine it"
         yield Notice("total_mass_changed", "warning", None, message, advice)
     changes = {}
-    for body, pi in _bodies(identification):
+    for body, pi in _bodies(identified):
         if body.pi[0] > 0 and not 1 / _MASS_RATIO < pi[0] / body.pi[0] < _MASS_RATIO:
             changes[body.name] = f"{pi[0]:.3g} kg instead of {body.pi[0]:.3g}"
     if changes:
@@ -101,16 +118,14 @@ def _mass_notices(experiment: Experiment, identification: Identification) -> Ite
         yield Notice("implausible_mass", "warning", None, message, advice)
 
 
-def _shape_notices(experiment: Experiment, identification: Identification) -> Iterator[Notice]:
+def _shape_notices(experiment: Experiment, identified: EstimateWithPrior) -> Iterator[Notice]:
     """Bodies with next to no extent along an axis, or at the rim of their bounding ellipsoid."""
-    has_default_prior = (
-        experiment.config.regularization.is_automatic and identification.regularization.kind == "entropic"
-    )
+    has_default_prior = experiment.config.regularization.is_automatic and identified.regularization.kind == "entropic"
     advice = "log a motion that turns the link about more axes (idtool excite)"
     if not has_default_prior:
         advice += "; leave regularization at its default, entropic and auto"
     thin: dict[str, list[str]] = {}
-    for body, pi in _bodies(identification):
+    for body, pi in _bodies(identified):
         flat = int(np.count_nonzero(_gyration(pi) < _THIN * _gyration(body.pi)))
         if flat:
             thin.setdefault(_THIN_SHAPES[flat - 1], []).append(body.name)
@@ -118,9 +133,7 @@ def _shape_notices(experiment: Experiment, identification: Identification) -> It
         unseen = "the motion does not excite the inertia about every axis"
         message = f"{join_names(names)}: the mass distribution is nearly a {shape}, which no real link is: {unseen}"
         yield Notice("implausible_shape", "warning", None, message, advice)
-    at_rim = [
-        body.name for body, pi in _bodies(identification) if _is_at_rim(body, pi) and not _is_at_rim(body, body.pi)
-    ]
+    at_rim = [body.name for body, pi in _bodies(identified) if _is_at_rim(body, pi) and not _is_at_rim(body, body.pi)]
     if at_rim:
         message = (
             f"{join_names(at_rim)}: all mass lies at the surface of the bounding ellipsoid: the ellipsoid may be "
@@ -129,10 +142,10 @@ def _shape_notices(experiment: Experiment, identification: Identification) -> It
         yield Notice("mass_at_rim", "warning", None, message)
 
 
-def _bodies(identification: Identification) -> Iterator[tuple[Body, Array]]:
+def _bodies(identified: EstimateWithPrior) -> Iterator[tuple[Body, Array]]:
     """Every body of the prior with its identified parameters, shape (10,)."""
-    for i, body in enumerate(identification.prior):
-        yield body, identification.estimate.theta[PI_SIZE * i : PI_SIZE * (i + 1)]
+    for i, body in enumerate(identified.prior):
+        yield body, identified.estimate.theta[PI_SIZE * i : PI_SIZE * (i + 1)]
 
 
 def _gyration(pi: Array) -> Array:
@@ -153,7 +166,7 @@ def _is_at_rim(body: Body, pi: Array) -> bool:
 
 
 def _error_notices(
-    experiment: Experiment, evaluation: Evaluation, identification: Identification, held_out: bool
+    experiment: Experiment, evaluation: Evaluation, identified: EstimateWithPrior, held_out: bool
 ) -> Iterator[Notice]:
     """Torque errors that no noise explains."""
     joints = experiment.equation.joints
@@ -161,7 +174,7 @@ def _error_notices(
     own = rms["overall"]
     prior = evaluation.errors["prior"].rms(joints)["overall"]
     spread = overall_rms(std for name, std in evaluation.torque_std.items() if not np.isnan(rms[name]))
-    if prior > _ABSURD * spread > 0 and identification.prior is experiment.model.bodies:
+    if prior > _ABSURD * spread > 0 and identified.prior is experiment.model.bodies:
         message = f"the prior's torque error, {prior:.3g}, is {prior / spread:.0f} times the measured torque"
         advice = "a unit in the URDF or the configuration may be wrong"
         yield Notice("prior_error_large", "warning", None, message, advice)

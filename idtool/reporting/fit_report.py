@@ -18,6 +18,7 @@ from idtool.estimation.dataset.equality_constraints import Constraint
 from idtool.estimation.dataset.sensor_offsets import has_offset, offset_rows
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.fit import Fit
+from idtool.estimation.fleet import Fleet
 from idtool.estimation.problem.realizability import RealizabilityCheck, check_realizability
 from idtool.estimation.problem.regularization_path import PathPoint
 from idtool.reporting.results.base import SampleCounts, notice_fields, plain_data, provenance_fields
@@ -27,6 +28,8 @@ from idtool.reporting.results.fit import (
     EffectReport,
     ErrorsByKind,
     FitReport,
+    FleetReport,
+    FleetRobotReport,
     FootComplianceReport,
     FrictionErrors,
     FrictionIntervals,
@@ -73,8 +76,8 @@ from idtool.robot.urdf.writing import JointDynamics
 from idtool.robot.witness import deviation_ellipsoid
 
 
-def fit_report(fit: Fit) -> FitReport:
-    """The content of report.json."""
+def fit_report(fit: Fit, fleet: Fleet | None = None) -> FitReport:
+    """The content of report.json, with the robots of a fleet if the logs are theirs."""
     experiment = fit.experiment
     joints = experiment.equation.joints
     analysis = fit.uncertainty_analysis
@@ -99,6 +102,7 @@ def fit_report(fit: Fit) -> FitReport:
         wrench_sensor_offsets=plain_data(fit.validation.sensor_offsets),
         friction={joint: friction_report(fit, joint) for joint in experiment.model.joint_names},
         friction_intervals={joint: friction_intervals(fit, joint) for joint in experiment.model.joint_names},
+        fleet=fleet_report(fleet) if fleet else None,
         effects=[effect_report(fit, entry) for entry in experiment.config.effects],
         rotors=reflected_inertia_report(fit),
         controller=controller_report(fit),
@@ -373,6 +377,23 @@ def friction_report(fit: Fit, joint: str) -> FrictionReport:
     return FrictionReport(**values, standard_error=FrictionErrors(**errors))
 
 
+def fleet_report(fleet: Fleet) -> FleetReport:
+    """The entry ``fleet``."""
+    joints = fleet.fit.experiment.model.joint_names
+    robots = {}
+    for robot in fleet.robots:
+        fit = robot.fit
+        robots[robot.name] = FleetRobotReport(
+            logs=[str(path) for path in fit.experiment.log_paths],
+            samples=fit.experiment.samples(held_out=False),
+            rms=robot.error,
+            rms_alone=robot.error_alone,
+            friction={joint: friction_report(fit, joint) for joint in joints},
+            outliers=robot.outliers,
+        )
+    return FleetReport(shared=fleet.pool.shared, own=fleet.pool.own, robots=robots)
+
+
 def friction_intervals(fit: Fit, joint: str) -> FrictionIntervals:
     """One entry of ``friction_intervals``: of each term the 95 % interval, None where the data do not determine it."""
     all_intervals = intervals(fit)
@@ -409,6 +430,7 @@ def model_config(fit: Fit, folder: Path | None = None) -> dict[str, Any]:
     config: Config = experiment.config
     data: dict[str, Any] = config.model_dump(mode="json", exclude_unset=True)
     data["joints"] = list(experiment.model.joint_names)
+    data.pop("pool", None)  # of a fit alone
     data["filter"] = {**config.filter.model_dump(mode="json"), "cutoff_hz": experiment.band_hz}
     data["friction"] = {joint: _friction_terms(fit, joint) for joint in experiment.model.joint_names}
     contacts = experiment.equation.contacts

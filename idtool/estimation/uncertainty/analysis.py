@@ -158,7 +158,7 @@ def uncertainty_analysis(
         )
         if pair is not None:
             bias = bias_check(pair, parameters.base)
-        if len(data) > 1:
+        if len(data) > 1 and experiment.config.pool is None:  # a fleet's logs differ by its robots' friction
             progress("comparing logs", 0.0)
             logs = repeatability(
                 equation,
@@ -172,7 +172,7 @@ def uncertainty_analysis(
             )
 
     notices = (
-        *_cluster_notices(robust, data),
+        *cluster_notices(robust, data),
         *_repeatability_notices(logs),
         *_whole_mass_notice(uncertainty, experiment),
         *_mass_notices(parameters, experiment),
@@ -205,7 +205,8 @@ def _at_least_spectral(uncertainty: Uncertainty, independent: Mapping[str, float
     return replace(uncertainty, covariance_y=covariance * max(required / inflation, 1.0))
 
 
-def _cluster_notices(robust: ClusterRobustEstimate, data: Sequence[Blocks]) -> list[Notice]:
+def cluster_notices(robust: ClusterRobustEstimate, data: Sequence[Blocks]) -> list[Notice]:
+    """Notices about standard errors that are too small, or were computed from few data."""
     if robust.bootstrap is None:
         seconds = sum(len(log) * log.seconds for log in data)
         few = f"{seconds:.2g} s of data are too short for the {FEWEST_CLUSTERS} blocks that standard errors need"

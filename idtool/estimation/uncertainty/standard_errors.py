@@ -109,6 +109,14 @@ class Uncertainty:
         y = steps[: len(singular_values)] * singular_values
         return replace(self, covariance_y=self.covariance_y + np.outer(y, y))
 
+    def of_combinations(self, M: Array) -> Uncertainty:
+        """The uncertainty of combinations M theta of the coefficients, M (k, p)."""
+        directions = replace(
+            self.directions, observable=M @ self.directions.observable, unobservable=M @ self.directions.unobservable
+        )
+        is_determined = ~((M != 0) @ ~self.identifiable)
+        return replace(self, directions=directions, identifiable=is_determined)
+
     def of(self, rows: Array) -> Array:
         """Standard errors of combinations of the coefficients.
 

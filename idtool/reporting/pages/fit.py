@@ -20,6 +20,7 @@ from idtool.reporting.pages.uncertainty import (
     uncertainty_view,
     with_uncertainty,
 )
+from idtool.reporting.plots.fleet import fleet_figure
 from idtool.reporting.plots.regularization import regularization_figure
 from idtool.reporting.plots.residuals import residual_figures
 from idtool.reporting.plots.torques import torque_figures
@@ -34,8 +35,10 @@ from idtool.reporting.sections.fit import (
     WholeRobotSection,
     WrenchSensorsSection,
 )
+from idtool.reporting.sections.fleet import FleetSection
 
 _PRIOR = PriorWeightsSection()
+_FLEET = FleetSection()
 _EFFECTS = EffectsSection()
 _ERRORS_BY_KIND = ErrorsByKindSection()
 _WHOLE_ROBOT = WholeRobotSection()
@@ -47,6 +50,7 @@ _SECTIONS = (
     ("Findings", "fit_findings.html"),
     TorqueErrorsSection(),
     _ERRORS_BY_KIND,
+    _FLEET,
     ("Measured and predicted torque", "torques.html"),
     _RESIDUALS,
     SIMULATION,
@@ -99,6 +103,7 @@ def fit_page(
         worse = [name for name, error in known_rms.items() if error >= (prior_rms[name] or 0.0)]
     automatic = report.regularization.automatic
     shown_if = {_RESIDUALS: bool(residual_maps), _EFFECTS: bool(report.effects), _PRIOR: automatic is not None}
+    shown_if[_FLEET] = report.fleet is not None
     shown_if[_ERRORS_BY_KIND] = report.rms_by_kind is not None
     shown_if[_WHOLE_ROBOT] = report.whole_robot is not None
     shown_if[_WRENCH_SENSORS] = bool(report.wrench_sensors)
@@ -115,6 +120,7 @@ def fit_page(
         groups=rows_by_unit(units),
         torques=torque_figures(fit.evaluation, "identified", units),
         residuals=residual_figures(*residual_maps, units, _MODEL_NAMES, _MODELS_TEXT) if residual_maps else None,
+        fleet_figure=fleet_figure(report),
         weights=regularization_figure(automatic) if automatic else None,
         **simulation_view(fit.simulation, report.simulation, "identified"),
         **uncertainty_view(report),

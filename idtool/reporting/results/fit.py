@@ -395,6 +395,28 @@ class SolverReport(Record):
     )
 
 
+class FleetRobotReport(Record):
+    """One robot of a fleet."""
+
+    logs: tuple[str, ...] = field("Its logs.")
+    samples: int = field("Number of samples used for the fit.")
+    rms: float = field(
+        "RMS torque error of the fleet's model with the robot's own friction, of all joints, on its held-out data or, "
+        "without any, the training data [N·m or N]."
+    )
+    rms_alone: float = field("The same of a model that was fitted to its logs alone.")
+    friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Its friction.")
+    outliers: tuple[str, ...] = field("How it differs from the other robots.")
+
+
+class FleetReport(Record):
+    """Robots of one type whose logs were fitted together."""
+
+    shared: str = field("What they share: `bodies`.")
+    own: tuple[str, ...] = field("What each has of its own: `friction`, or effects.")
+    robots: Annotated[ReadOnly[FleetRobotReport], Keys("robot")] = field("The robots.")
+
+
 class FitReport(ReproducibleResult):
     """Result of `idtool fit`."""
 
@@ -428,6 +450,9 @@ class FitReport(ReproducibleResult):
     )
     friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Identified friction.")
     friction_intervals: Annotated[ReadOnly[FrictionIntervals], Keys("joint")] = field("95 % intervals of friction.")
+    fleet: FleetReport | None = field(
+        "Robots of the fleet, with the setting `pool`; `friction` is then their mean. Null without it."
+    )
     effects: tuple[EffectReport, ...] = field("Effects besides rigid bodies and friction.")
     rotors: Annotated[ReadOnly[Annotated[ReadOnly[ReflectedInertia], Keys("joint")]], Keys("rotor")] = field(
         "Reflected inertia at each joint that drives the rotor."

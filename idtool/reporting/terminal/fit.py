@@ -15,6 +15,7 @@ from idtool.reporting.sections.fit import (
     WholeRobotSection,
     WrenchSensorsSection,
 )
+from idtool.reporting.sections.fleet import FleetSection
 from idtool.reporting.sections.uncertainty import RepeatabilitySection
 from idtool.reporting.terminal.base import Terminal
 from idtool.reporting.terminal.simulation import show_simulation
@@ -22,7 +23,7 @@ from idtool.reporting.terminal.simulation import show_simulation
 
 def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
     """The result of a fit: errors, bodies, friction, certificate, and where the files are."""
-    terminal.sections([TorqueErrorsSection(), ErrorsByKindSection()], report)
+    terminal.sections([TorqueErrorsSection(), ErrorsByKindSection(), FleetSection()], report)
     show_simulation(terminal, report.simulation)
     terminal.sections([BodiesSection(), WholeRobotSection(), FrictionSection()], report)
     terminal.sections([WrenchSensorsSection(), EffectsSection()], report)
@@ -41,7 +42,8 @@ def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
         terminal.say(f"the prior's weight is {regularization.weight:.2g}: {reason}")
     terminal.say(_optimality_text(report.solver))
     terminal.notices(report.notices)
-    terminal.say(f"written: {folder}/identified.urdf, model.yaml, report.json, report.html")
+    robots = ", robots/" if report.fleet else ""
+    terminal.say(f"written: {folder}/identified.urdf, model.yaml, report.json, report.html{robots}")
 
 
 def _optimality_text(solver: SolverReport) -> str:

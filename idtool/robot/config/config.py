@@ -16,6 +16,7 @@ from idtool.robot.config.bounds import BoundingEllipsoid, BoundingShape
 from idtool.robot.config.estimation import Constraints, KnownMasses, Mirror, Regularization, Solver
 from idtool.robot.config.floating_base import Base, Contact
 from idtool.robot.config.limits import JointLimits
+from idtool.robot.config.pool import Pool
 from idtool.robot.config.rotors import RotorConfig
 from idtool.robot.config.signals import Controller, Filter, LogOptions, SimulationOptions
 from idtool.robot.config.terms import EffectEntry, Friction, friction_tag
@@ -74,6 +75,7 @@ class Config(ConfigRecord):
     base: Base = Base()
     contacts: Annotated[tuple[Contact, ...], AfterValidator(_unique_contacts)] = ()
     wrench_sensors: Annotated[tuple[WrenchSensor, ...], AfterValidator(_unique_sensors)] = ()
+    pool: Pool | None = None
     seed: int = 0
 
     _source: InputFile | None = PrivateAttr(default=None)

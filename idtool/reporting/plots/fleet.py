@@ -1,0 +1,61 @@
+"""Friction of the robots of a fleet."""
+
+from __future__ import annotations
+
+from idtool.common.units import units_text
+from idtool.reporting.plots.figure import Figure, Panel, PlotlyTrace, figure, styled_curve
+from idtool.reporting.results.fit import FitReport, FleetReport, FleetRobotReport, FrictionErrors
+
+_TITLES = {"viscous": "viscous", "coulomb": "Coulomb", "offset": "offset"}
+_BAR = 2.0  # standard errors
+_SPREAD = 0.6  # of the distance from one joint to the next, over which the robots lie side by side
+
+
+def fleet_figure(report: FitReport) -> Figure | None:
+    """Friction of each robot of a fleet by joint, with bars of two standard errors; None without a fleet.
+
+    Parameters
+    ----------
+    report
+        The content of report.json.
+    """
+    fleet = report.fleet
+    if fleet is None:
+        return None
+    joints = list(report.friction)
+    panels = []
+    for term in FrictionErrors.model_fields:
+        curves = _curves(fleet, joints, term)
+        if curves:
+            panels.append(Panel(_TITLES[term], curves))
+    if not panels:
+        return None
+    axis = {"tickmode": "array", "tickvals": list(range(len(joints))), "ticktext": joints}
+    units = units_text(report.units)
+    caption = f"Friction of each robot, {units}·s/rad and {units}, with bars of two standard errors"
+    return figure(caption, "joint", panels, x_axis=axis)
+
+
+def _curves(fleet: FleetReport, joints: list[str], term: str) -> list[PlotlyTrace]:
+    """Points of each robot; none for a term that the model does not have."""
+    curves = []
+    for r, (name, robot) in enumerate(fleet.robots.items()):
+        values = [_value(robot, joint, term) for joint in joints]
+        if all(value is None for value in values):
+            continue
+        errors = [_standard_error(robot, joint, term) for joint in joints]
+        shift = _SPREAD * ((r + 0.5) / len(fleet.robots) - 0.5)
+        points = styled_curve(name, [i + shift for i in range(len(joints))], values, r)
+        bars = [_BAR * error if error is not None else 0.0 for error in errors]
+        curves.append({**points, "mode": "markers", "error_y": {"type": "data", "array": bars, "width": 2}})
+    return curves
+
+
+def _value(robot: FleetRobotReport, joint: str, term: str) -> float | None:
+    value: float | None = getattr(robot.friction[joint], term)
+    return value
+
+
+def _standard_error(robot: FleetRobotReport, joint: str, term: str) -> float | None:
+    error: float | None = getattr(robot.friction[joint].standard_error, term)
+    return error
