@@ -47,6 +47,8 @@ LIBRARY_USERS = {
     "trimesh": ("robot/meshes.py",),
     "coal": ("robot/collision_geometry.py",),
     "rerun": ("reporting/rerun_recording.py",),
+    "distributed": ("common/cluster.py",),
+    "upath": ("data/logs/urls.py",),
 }
 
 # Where an effect's id stands outside `dynamics/effects`, and why. All else asks the effect.
@@ -161,7 +163,8 @@ def test_libraries_are_used_only_where_listed(path: Path) -> None:
 def test_every_library_is_a_declared_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     declared = {re.split(r"[^\w-]", line)[0].lower().replace("_", "-") for line in project["dependencies"]}
-    declared |= {re.split(r"[^\w-]", line)[0] for line in project["optional-dependencies"]["rerun"]}
+    for extra in ("rerun", "cluster"):
+        declared |= {re.split(r"[^\w-]", line)[0] for line in project["optional-dependencies"][extra]}
     by_path_file = {
         "pinocchio": ["pin"],
         "coal": ["coal"],

@@ -381,5 +381,6 @@ def _general_notices(fit: Fit) -> list[Notice]:
 
 def _outlier_notices(robots: Sequence[FleetRobot]) -> Iterator[Notice]:
     for robot in robots:
+        advice = f"idtool diagnose robots/{robot.name}/identified.urdf LOG… --inertia fixed finds what it has or lacks"
         for outlier in robot.outliers:
-            yield Notice("robot_stands_out", "warning", robot.name, outlier)
+            yield Notice("robot_stands_out", "warning", robot.name, outlier, advice)

@@ -8,6 +8,7 @@ from idtool.reporting.results.fit import FitReport, FleetReport, FleetRobotRepor
 
 _TITLES = {"viscous": "viscous", "coulomb": "Coulomb", "offset": "offset"}
 _BAR = 2.0  # standard errors
+_MARKER = 8  # px
 _SPREAD = 0.6  # of the distance from one joint to the next, over which the robots lie side by side
 
 
@@ -47,7 +48,8 @@ def _curves(fleet: FleetReport, joints: list[str], term: str) -> list[PlotlyTrac
         shift = _SPREAD * ((r + 0.5) / len(fleet.robots) - 0.5)
         points = styled_curve(name, [i + shift for i in range(len(joints))], values, r)
         bars = [_BAR * error if error is not None else 0.0 for error in errors]
-        curves.append({**points, "mode": "markers", "error_y": {"type": "data", "array": bars, "width": 2}})
+        error_bars = {"type": "data", "array": bars, "width": 3}
+        curves.append({**points, "mode": "markers", "marker": {"size": _MARKER}, "error_y": error_bars})
     return curves
 
 
