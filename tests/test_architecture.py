@@ -48,7 +48,7 @@ LIBRARY_USERS = {
     "coal": ("robot/collision_geometry.py",),
     "rerun": ("reporting/rerun_recording.py",),
     "distributed": ("common/cluster.py",),
-    "upath": ("data/logs/urls.py",),
+    "upath": ("common/urls.py",),
 }
 
 # Where an effect's id stands outside `dynamics/effects`, and why. All else asks the effect.

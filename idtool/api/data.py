@@ -14,8 +14,8 @@ from idtool.api.results import Progress
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.common.notice import Notice
+from idtool.common.urls import local_copy, log_path
 from idtool.data.logs import JointLog
-from idtool.data.logs.urls import local_copy, log_path
 from idtool.estimation.dataset.experiment import Experiment, is_about, left_out_notice, prepare
 from idtool.estimation.distributed_reduction import reduce_on_cluster
 from idtool.estimation.fleet import check_fleet

@@ -64,7 +64,7 @@ def _limit_processes(count: int | None) -> int | None:
 
 def log_path_or_url(text: str) -> Path:
     """The path of a log, or its URL as an object with a path's methods."""
-    from idtool.data.logs.urls import log_path
+    from idtool.common.urls import log_path
 
     return log_path(text)
 

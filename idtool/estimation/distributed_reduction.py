@@ -20,8 +20,8 @@ from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.common.outputs import write_all
 from idtool.common.processes import limit_processes
+from idtool.common.urls import version_of
 from idtool.common.version import VERSION
-from idtool.data.logs.urls import version_of
 from idtool.estimation.dataset.experiment import Progress, left_out_notice, prepare
 from idtool.estimation.dataset.reduced_logs import LogPlaces
 from idtool.estimation.reduced_experiment import save_reduction

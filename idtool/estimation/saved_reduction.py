@@ -23,8 +23,8 @@ from idtool.common.exceptions import LogError
 from idtool.common.notice import Notice
 from idtool.common.outputs import OutputError
 from idtool.common.provenance import InputFile
+from idtool.common.urls import log_path
 from idtool.common.version import VERSION
-from idtool.data.logs.urls import log_path
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.extreme_rows import ExtremeRows
 from idtool.estimation.dataset.reduced_logs import ReducedLog

@@ -36,12 +36,12 @@ from idtool.common.input_files import REDUCTION_SUFFIX, missing_file_advice
 from idtool.common.names import printable, suggestion
 from idtool.common.outputs import OutputError, check_file
 from idtool.common.provenance import source_from_file
+from idtool.common.urls import is_url, local_copy, log_path
 from idtool.data.logs.bag import METADATA, ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
 from idtool.data.logs.log import SIGNALS, JointLog, make_log
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
 from idtool.data.logs.sensor_channels import SensorOptions
 from idtool.data.logs.stored_arrays import count_arrays
-from idtool.data.logs.urls import is_url, local_copy, log_path
 
 __all__ = ["SIGNALS", "JointLog", "check_log_file", "is_bag", "log_suffixes", "make_log", "read_log", "write_log"]
 
