@@ -8,7 +8,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.data.logs.log import SIGNALS, JointLog
-from idtool.data.logs.stored_arrays import blocks_of, column_ranges
+from idtool.data.logs.stored_arrays import blocks_of, column_ranges, release_pages
 
 _TOLERANCE = 1e-4  # of a signal's range: rounding in another format is smaller, the noise of another run is larger
 _FIRST_ROWS = 8  # compared before all others
@@ -87,7 +87,9 @@ class _Recording:
             return bool(np.isclose(own, others, rtol=0.0, atol=tolerance, equal_nan=True).all())
 
         some_rows = np.linspace(0, len(x) - 1, _FIRST_ROWS).astype(int)  # at which most logs differ
-        return is_same(some_rows) and all(map(is_same, blocks_of([x, y], len(x))))
+        may_be_same = is_same(some_rows)
+        release_pages([x, y])
+        return may_be_same and all(map(is_same, blocks_of([x, y], len(x))))
 
     def _span(self, signal: str) -> Array:
         """Range of a signal of each joint, shape (nj,)."""

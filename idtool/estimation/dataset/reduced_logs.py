@@ -211,6 +211,7 @@ def _series_count(batches: Batches[Batch], row_bytes: int, log: int, places: Log
 
 def _spread_starts(batches: Batches[Batch], count: int) -> frozenset[int]:
     """First samples of some batches that are spread evenly over a log, or of all of them."""
-    spans = batches.spans
-    places = (np.arange(count) + 0.5) * len(spans) / max(count, 1)
-    return frozenset(spans[place].start for place in places.astype(int).tolist())
+    last_rows = np.cumsum([span.rows for span in batches.spans])
+    middle_rows = (np.arange(count) + 0.5) * batches.rows / max(count, 1)
+    chosen = np.searchsorted(last_rows, middle_rows).tolist()
+    return frozenset(batches.spans[i].start for i in chosen)
