@@ -13,7 +13,7 @@ from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.input_files import REDUCTION_SUFFIX
-from idtool.common.notice import Notice
+from idtool.common.notice import Notice, unique
 from idtool.common.urls import local_copy, log_path
 from idtool.data.logs import JointLog
 from idtool.estimation.dataset.experiment import Experiment, is_about, left_out_notice, prepare
@@ -164,17 +164,22 @@ def _with_reductions(model: Model, given: _GivenLogs, skip_bad: bool, progress: 
     training, validation = given.reductions()
     others = given.without_reductions()
     left_out: tuple[Notice, ...] = ()
+    notices: tuple[Notice, ...] = ()
     if others.logs or others.validate:
         experiment = _prepare(model, others.logs, others.validate, others.holdout, skip_bad)
         left_out = experiment.left_out
         reduction = save_reduction(experiment, others.holdout, progress)
-        of_training = tuple(log for log, run in zip(reduction.logs, experiment.runs, strict=True) if run.train)
-        of_validation = tuple(log for log, run in zip(reduction.logs, experiment.runs, strict=True) if not run.train)
-        if of_training:
-            training.append((of_training[0].path, replace(reduction, logs=of_training)))
-        if of_validation:
-            validation.append((of_validation[0].path, replace(reduction, logs=of_validation)))
-    return replace(prepare_reduced(model.robot, model.settings, training, validation), left_out=left_out)
+        notices = reduction.notices  # which name the logs
+        of_training: list[FileAndReduction] = []
+        of_validation: list[FileAndReduction] = []
+        for log, run in zip(reduction.logs, experiment.runs, strict=True):
+            files = tuple(run.signals.log.sources)
+            of_log = (log.path, replace(reduction, logs=(log,), files=files, notices=()))
+            (of_training if run.train else of_validation).append(of_log)
+        training = _in_order(given.logs, training, of_training)
+        validation = _in_order(given.validate, validation, of_validation)
+    reduced = prepare_reduced(model.robot, model.settings, training, validation)
+    return replace(reduced, left_out=left_out, log_notices=unique((*notices, *reduced.log_notices)))
 
 
 def _reduced_by_cluster(
@@ -196,10 +201,27 @@ def _reduced_by_cluster(
             skip_bad,
             progress,
         )
-        training += fleet.training
-        validation += fleet.validation
+        training = _in_order(given.logs, training, fleet.training)
+        validation = _in_order(given.validate, validation, fleet.validation)
         left_out = fleet.notices
     return replace(prepare_reduced(model.robot, model.settings, training, validation), left_out=left_out)
+
+
+def _in_order(
+    given: Sequence[LogSource], from_files: Sequence[FileAndReduction], of_logs: Sequence[FileAndReduction]
+) -> list[FileAndReduction]:
+    """Reductions from files and those of logs, without logs that were left out, in the order in which they are given.
+
+    The order of the logs is that of their blocks in cross-validation.
+    """
+    remaining_files, remaining_logs = list(from_files), list(of_logs)
+    ordered = []
+    for log in given:
+        if _reduction_path(log) is not None:
+            ordered.append(remaining_files.pop(0))
+        elif remaining_logs and str(remaining_logs[0][0]) == str(log.path if isinstance(log, Log) else log):
+            ordered.append(remaining_logs.pop(0))
+    return ordered
 
 
 def _log_file(log: LogSource) -> Path:

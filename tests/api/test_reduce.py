@@ -211,7 +211,7 @@ def test_a_later_format_is_named(reduction: Path, tmp_path: Path) -> None:
         package.fit(LEG, file)
 
 
-@pytest.mark.parametrize("command", ["validate", "diagnose", "study", "simulate", "inspect"])
+@pytest.mark.parametrize("command", ["diagnose", "study", "simulate", "inspect"])
 def test_other_commands_need_the_log(reduction: Path, tmp_path: Path, command: str) -> None:
     arguments = [reduction] if command == "inspect" else [LEG, reduction, "--out", tmp_path / "out.csv"]
     result = idtool(command, *arguments)
@@ -219,10 +219,27 @@ def test_other_commands_need_the_log(reduction: Path, tmp_path: Path, command: s
     assert result.err == f"error: {reduction}: is a reduction, which has no samples; give the log\n"
 
 
-def test_logs_and_reductions_do_not_mix(reduction: Path, tmp_path: Path) -> None:
-    result = idtool("fit", LEG, reduction, VALIDATE, "--out", tmp_path / "out")
-    assert result.code == 2
-    assert result.err == f"error: {VALIDATE}: is a log among reductions; make a reduction of it with idtool reduce\n"
+def test_logs_and_reductions_are_fitted_together(reduction: Path, validation: Path) -> None:
+    """Logs are reduced in passing; for validation, too."""
+    expected = package.fit(LEG, [reduction, validation], quick=True).to_json()
+    holdout_kept = package.fit(LEG, [TRAIN, validation], quick=True).to_json()
+    for key in FIGURES:
+        assert_same_figures(holdout_kept[key], expected[key], key)
+    validated = package.fit(LEG, TRAIN, validate=validation, quick=True).to_json()
+    from_logs = package.fit(LEG, TRAIN, validate=VALIDATE, quick=True).to_json()
+    for key in ("bodies", "rms", "samples"):
+        assert_same_figures(validated[key], from_logs[key], key)
+
+
+def test_a_validation_is_that_on_the_log(validation: Path, tmp_path: Path) -> None:
+    """Of an identified model, too, whose rows are those of the original one."""
+    package.fit(LEG, TRAIN, quick=True).save(tmp_path)
+    for model, prior in ((LEG, None), (tmp_path / "identified.urdf", LEG)):
+        own = package.validate(model, validation, prior=prior).to_json()
+        expected = package.validate(model, VALIDATE, prior=prior, simulation=False).to_json()
+        for key in ("rms", "rms_raw", "nrms", "samples"):
+            assert_same_figures(own[key], expected[key], key)
+        assert own["simulation"] is None
 
 
 def test_another_holdout_is_refused(reduction: Path, tmp_path: Path) -> None:
