@@ -14,6 +14,7 @@ from idtool.api.results import Progress
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.common.notice import Notice, unique
+from idtool.common.provenance import InputFile
 from idtool.common.urls import local_copy, log_path
 from idtool.data.logs import JointLog
 from idtool.estimation.dataset.experiment import Experiment, is_about, left_out_notice, prepare
@@ -173,7 +174,7 @@ def _with_reductions(model: Model, given: _GivenLogs, skip_bad: bool, progress: 
         of_training: list[FileAndReduction] = []
         of_validation: list[FileAndReduction] = []
         for log, run in zip(reduction.logs, experiment.runs, strict=True):
-            files = tuple(run.signals.log.sources)
+            files = run.signals.log.sources or (InputFile("log", str(log.path), None),)
             of_log = (log.path, replace(reduction, logs=(log,), files=files, notices=()))
             (of_training if run.train else of_validation).append(of_log)
         training = _in_order(given.logs, training, of_training)
