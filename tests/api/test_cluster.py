@@ -75,8 +75,7 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         time.sleep(0.1)
     yield str(file)
     for process in processes:
-        process.terminate()
-    for process in processes:
+        process.kill()
         process.wait()
 
 
@@ -202,7 +201,8 @@ def test_logs_that_cannot_be_used_are_named_or_left_out(
             assert fitted.bodies[name].mass == pytest.approx(body.mass, rel=1e-3)
 
 
-def test_clusters_that_cannot_be_used() -> None:
+def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("idtool.common.cluster._SECONDS_TO_CONNECT", 1)
     for address, words in {
         "local:0": "local:0 has no process",
         "tcp://127.0.0.1:1": "no cluster at tcp://127.0.0.1:1",
