@@ -9,14 +9,19 @@ import re
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
+from comparison import Comparison, compare, version_text
+from numpy.typing import NDArray
 
 from idtool.data.logs import JointLog, make_log, read_log, write_log
 
+Array = NDArray[np.float64]
+
 RATE = 1000.0  # Hz
+MINUTE = 60.0  # s
+REPETITIONS = 3
 JOINTS = ("abad", "hip", "knee")
 
 
@@ -29,12 +34,11 @@ def leg_log(path: Path, seconds: float) -> JointLog:
     return make_log(path, t, JOINTS, {"q": np.sin(phase) + noise, "v": np.cos(phase) + noise, "tau": 3 * noise})
 
 
-def seconds_by_decoder(path: Path) -> tuple[float, int]:
-    """Time that the mcap package's decoder takes for the same arrays [s], and the number of samples."""
+def arrays_by_decoder(path: Path) -> dict[str, Array]:
+    """The arrays of a log by the mcap package's decoder."""
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
-    start = time.perf_counter()
     t, q, v, tau = [], [], [], []
     with path.open("rb") as file:
         for *_, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
@@ -42,15 +46,28 @@ def seconds_by_decoder(path: Path) -> tuple[float, int]:
             q.append(message.position)
             v.append(message.velocity)
             tau.append(message.effort)
-    arrays = [np.array(t), np.array(q), np.array(v), np.array(tau)]
-    return time.perf_counter() - start, len(arrays[0])
+    return {"t": np.array(t), "q": np.array(q), "v": np.array(v), "tau": np.array(tau)}
 
 
-def seconds_by_idtool(path: Path) -> float:
-    """Time that `read_log` takes [s]."""
-    start = time.perf_counter()
-    read_log(path)
-    return time.perf_counter() - start
+def comparisons() -> list[Comparison]:
+    """Check that a minute of a log is read alike, and read it by turns."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "log.mcap")
+        write_log(path, leg_log(path, MINUTE))
+        log, decoded = read_log(path), arrays_by_decoder(path)
+        for name, values in log.signals.items():
+            np.testing.assert_array_equal(values, decoded[name])
+        difference = float(np.abs(np.diff(log.t) - np.diff(decoded["t"])).max())
+        assert difference < 1e-6
+        comparison = compare(
+            f"reading {len(log)} joint states of an MCAP log",
+            version_text("mcap", "mcap-ros2-support"),
+            lambda: read_log(path),
+            lambda: arrays_by_decoder(path),
+            REPETITIONS,
+            {"largest of q, v, tau": 0.0, "time steps [s]": difference},
+        )
+    return [comparison]
 
 
 def process_memory(name: str) -> int:
@@ -72,19 +89,15 @@ def print_memory(path: Path, warm_up: Path) -> None:
 
 
 def main() -> None:
-    """Write logs, then print the ratio of times and the memory."""
+    """Print the ratio of times, then write longer logs and print the memory."""
     if len(sys.argv) == 3:
         return print_memory(Path(sys.argv[1]), Path(sys.argv[2]))
+    for comparison in comparisons():
+        print(comparison)
     with tempfile.TemporaryDirectory() as folder:
         paths = {minutes: Path(folder, f"{minutes}.mcap") for minutes in (1, 6, 60)}
         for minutes, path in paths.items():
-            write_log(path, leg_log(path, 60 * minutes))
-        ours = min(seconds_by_idtool(paths[1]) for _ in range(5))
-        theirs, count = min(seconds_by_decoder(paths[1]) for _ in range(2))
-        print(
-            f"{count} messages: mcap and mcap_ros2 {theirs / count * 1e6:.2f} µs each, "
-            f"idtool {ours / count * 1e6:.2f} µs each, ratio {theirs / ours:.1f}"
-        )
+            write_log(path, leg_log(path, MINUTE * minutes))
         for minutes in (6, 60):
             subprocess.run([sys.executable, __file__, paths[minutes], paths[1]], check=True)
 

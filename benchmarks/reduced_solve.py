@@ -11,11 +11,13 @@ from __future__ import annotations
 import cvxpy as cp
 import numpy as np
 import sample_leg
+from comparison import Comparison, compare, version_text
+from motion_samples import optimum_difference
 from numpy.typing import NDArray
 
 from idtool.estimation.dataset.experiment import Experiment
-from idtool.estimation.dataset.reduction import Factor, Reduction, empty, reduce_blocks
-from idtool.estimation.dataset.weights import free_noise, weighted_rows
+from idtool.estimation.dataset.reduction import Reduction, empty, reduce_blocks
+from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.identification import choose_sets
 from idtool.estimation.problem.estimate import _SETTINGS, solve
 from idtool.estimation.problem.prior import prior_rows
@@ -46,17 +48,26 @@ def problem_and_rows(experiment: Experiment) -> tuple[Problem, Array, Array]:
     noise = free_noise(equation, reduction)
     problem = build_problem(equation, bodies, reduction, sets, regularization, noise)
 
-    all_rows = []
-    for joint_blocks in zip(*blocks(experiment), strict=True):
-        joint_rows = np.concatenate(joint_blocks, axis=1).T
-        all_rows.append(Factor(joint_rows, len(joint_rows), len(joint_rows)))
-    sample_rows = weighted_rows(equation, tuple(all_rows), noise)
-    inertial = np.flatnonzero([c.scale is not None for c in equation.coefficients])
-    weak = np.sqrt(_LEAST_WEIGHT) * np.eye(len(problem.scale))[inertial] / problem.scale
-    weak_prior = np.column_stack([weak, weak @ equation.prior])
-    prior = prior_rows(equation, bodies, regularization, problem.scale)
-    rows = np.concatenate([sample_rows, prior, weak_prior])
+    p = len(equation.coefficients)
+    samples = sum(factor.rows for factor in reduction) / len(reduction)
+    sample_rows = []
+    for sigma, active, *joint_blocks in zip(noise, equation.active(), *blocks(experiment), strict=True):
+        columns = np.concatenate(joint_blocks, axis=1)
+        joint_rows = np.zeros((columns.shape[1], p + 1))
+        joint_rows[:, [*active, p]] = columns.T / (sigma * np.sqrt(samples))
+        sample_rows.append(joint_rows)
+    sample_rows.append(prior_of(experiment, problem.scale))
+    rows = np.concatenate(sample_rows)
     return problem, rows[:, :-1] * problem.scale, rows[:, -1]
+
+
+def prior_of(experiment: Experiment, units: Array) -> Array:
+    """Rows of the weak prior, in which a problem of these units has the same cost; shape (rows, p + 1)."""
+    equation, bodies = experiment.equation, experiment.model.bodies
+    weak = np.diag(np.sqrt(_LEAST_WEIGHT) / units)
+    regularization = experiment.config.regularization.fixed_or_weak()
+    prior = prior_rows(equation, bodies, regularization, units)
+    return np.concatenate([prior, np.column_stack([weak, weak @ equation.prior])])
 
 
 def solve_rows(problem: Problem, A: Array, b: Array) -> Array:
@@ -75,20 +86,45 @@ def solve_rows(problem: Problem, A: Array, b: Array) -> Array:
     return np.asarray(x.value)
 
 
-def main() -> None:
-    """Check that the optima are equal, solve in turn and print the ratios."""
+def comparisons() -> list[Comparison]:
+    """Check that the optima are equal, and solve by turns: from the factors, and from the log with its reduction."""
     experiment = sample_leg.leg_experiment()
     problem, A, b = problem_and_rows(experiment)
-    cost = problem.cost(problem.S @ solve(problem)[0])
-    cost_from_rows = problem.cost(problem.S @ solve_rows(problem, A, b))
-    assert abs(cost_from_rows / cost - 1) < 1e-5
-    ours, theirs, reduction = sample_leg.median_times(
-        REPETITIONS, lambda: solve(problem), lambda: solve_rows(problem, A, b), lambda: reduced_log(experiment)
+    x = solve(problem)[0]
+    x_from_rows = solve_rows(problem, A, b)
+    agreement = optimum_difference(problem, problem.S @ x_from_rows, problem.S @ x)
+    assert abs(agreement["relative cost"]) < 1e-5
+    peer = version_text("cvxpy", "clarabel")
+
+    def reduce_and_solve() -> None:
+        reduced_log(experiment)
+        solve(problem)
+
+    from_factors = compare(
+        f"identification within ellipsoids, leg of 6 bodies: R-factors against {len(b)} rows",
+        peer,
+        lambda: solve(problem),
+        lambda: solve_rows(problem, A, b),
+        REPETITIONS,
+        agreement,
+        "idtool's time includes its certificate; it does not include the regressor and the R-factors",
     )
-    print(
-        f"{len(b)} rows {theirs:.2f} s, their factor {ours * 1e3:.1f} ms: ratio {theirs / ours:.0f}; "
-        f"with the reduction of the log, {reduction * 1e3:.0f} ms: {theirs / (ours + reduction):.0f}"
+    from_log = compare(
+        f"the same, regressor and R-factors of the log included: against {len(b)} rows",
+        peer,
+        reduce_and_solve,
+        lambda: solve_rows(problem, A, b),
+        REPETITIONS,
+        agreement,
+        "cvxpy's time starts from the rows",
     )
+    return [from_factors, from_log]
+
+
+def main() -> None:
+    """Print the ratios."""
+    for comparison in comparisons():
+        print(comparison)
 
 
 if __name__ == "__main__":

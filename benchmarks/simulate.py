@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin  # type: ignore[import-untyped]
 import sample_leg
+from comparison import Comparison, compare, version_text
 from numpy.typing import NDArray
 
 from idtool.data.signals import Signals
@@ -33,6 +34,7 @@ TorqueFunction = Callable[[float, Array, Array], Array]  # of t, q, v
 REPETITIONS = 5
 STEP = 1e-3  # s
 FRICTION_WIDTH = 0.01  # rad/s
+LOOP_REMARK = "the loop has no stiction, no gyroscopic torque of rotors and no times of friction reversal"
 CONFIG = Path(__file__).parents[1] / "configs" / "go2.yaml"
 
 
@@ -112,11 +114,10 @@ def input_torque(signals: Signals, window: slice, dofs: list[int]) -> TorqueFunc
     return controlled if name == "qcmd" else logged
 
 
-def compare(name: str, experiment: Experiment, window: float | None) -> None:
-    """Time all in turn and print the rates."""
+def comparisons_of(name: str, experiment: Experiment, window: float | None) -> list[Comparison]:
+    """Time idtool's simulation by turns with each of the loops."""
     signals = experiment.runs[0].signals
     windows = split_into_windows(signals, experiment.runs[0].held_out, window)
-    seconds = sum(part.stop - part.start for part in windows) * signals.log.dt
     mechanism: Mechanism = experiment.equation.mechanism(experiment.model, experiment.equation.prior)
     loop = PythonLoop(experiment)
     starts = []
@@ -137,24 +138,32 @@ def compare(name: str, experiment: Experiment, window: float | None) -> None:
         for q, torque, span in starts:
             loop.runge_kutta(q, np.zeros_like(q), torque, span)
 
+    seconds = sum(part.stop - part.start for part in windows) * signals.log.dt
+    task = f"simulation of {seconds:.3g} s, {name}"
+    peer = f"loop over aba of {version_text('pin')}"
     with np.errstate(all="ignore"):
-        wall_times = sample_leg.median_times(REPETITIONS, ours, euler, runge_kutta)
-    rates = [seconds / wall for wall in wall_times]
-    print(
-        f"{name}: {rates[0]:.0f} simulated seconds a wall second; loop over pin.aba {rates[1]:.0f} (Euler), "
-        f"{rates[2]:.0f} (Runge-Kutta): ratio {rates[0] / rates[1]:.2f} and {rates[0] / rates[2]:.2f}"
-    )
+        ours()
+        return [
+            compare(task, f"{peer}, Runge-Kutta", ours, runge_kutta, REPETITIONS, remark=LOOP_REMARK),
+            compare(task, f"{peer}, Euler", ours, euler, REPETITIONS, remark=f"of order 1; {LOOP_REMARK}"),
+        ]
+
+
+def comparisons() -> list[Comparison]:
+    """The leg under its logged torque, in windows of 1 s and of 0.1 s."""
+    leg = prepare(read_robot(sample_leg.URDF), read_config(sample_leg.CONFIG), [], [sample_leg.LOG])
+    return [*comparisons_of("leg, 10 windows", leg, 1.0), *comparisons_of("leg, 100 windows", leg, 0.1)]
 
 
 def main() -> None:
     """The leg and, where its logs are given, the quadruped."""
-    leg = prepare(read_robot(sample_leg.URDF), read_config(sample_leg.CONFIG), [], [sample_leg.LOG])
-    compare("leg, 10 windows", leg, 1.0)
-    compare("leg, 100 windows", leg, 0.1)
+    compared = comparisons()
     if len(sys.argv) > 1:
         folder = Path(sys.argv[1])
         go2 = prepare(read_robot(folder / "go2.urdf"), read_config(CONFIG), [], [folder / "chirp_7.csv"])
-        compare("Go2, closed loop", go2, None)
+        compared += comparisons_of("Go2, closed loop", go2, None)
+    for comparison in compared:
+        print(comparison)
 
 
 if __name__ == "__main__":
