@@ -3,11 +3,12 @@ PYTHON ?= $(firstword $(foreach p,python3.13 python3.12 python3.11 python3,$(she
 	$(p) -c 'import sys; (3, 11) <= sys.version_info < (3, 14) and print("$(p)")' 2>/dev/null)))
 BIN := .venv/bin
 READY := .venv/.ready
+BENCH_READY := .venv-bench/.ready
 JOBS ?= 2
 unexport PYTHONDONTWRITEBYTECODE  # else every program that a test starts compiles the package anew
 KERNELS ?= Haswell SkylakeX Zen Sandybridge
 
-.PHONY: demo test types tests test-blas test-slow test-rerun docs benchmarks coverage scoreboard samples lock clean regularization
+.PHONY: demo test types tests test-blas test-slow test-rerun docs bench benchmarks coverage scoreboard samples lock clean regularization
 
 demo: $(READY)  ## fit and validate the sample leg
 	$(BIN)/idtool inspect sample_logs/leg_train.mcap
@@ -38,6 +39,10 @@ test-rerun: $(READY)  ## the tests of recordings for the rerun viewer, an option
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .ci/requirements-rerun.txt
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest tests/reporting/test_rerun.py
 
+bench: $(BENCH_READY)  ## ratios to other programs, and growth of time and memory, also as a page of the docs; FULL=1: larger sizes
+	OPENBLAS_NUM_THREADS=1 .venv-bench/bin/python -W ignore benchmarks/bench.py $(if $(FULL),--full)
+	.venv-bench/bin/python benchmarks/bench_page.py
+
 benchmarks: $(READY)  ## speed and memory; each speed is a ratio of two times measured in one run
 	for script in lmi mcap_reading memory reduced_solve regressor simulate startup; do \
 		OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/$$script.py || exit 1; done
@@ -59,6 +64,8 @@ lock: $(READY)  ## update the pinned dependencies to the newest compatible versi
 	for extras in "" "rerun"; do \
 		$(BIN)/uv pip compile pyproject.toml --extra dev $${extras:+--extra $$extras} --universal --generate-hashes --quiet \
 			--upgrade --no-emit-index-url --no-annotate --output-file .ci/requirements$${extras:+-$$extras}.txt || exit 1; done
+	$(BIN)/uv pip compile pyproject.toml --extra dev --group bench --constraint .ci/requirements.txt --universal --generate-hashes \
+		--quiet --upgrade --no-emit-index-url --no-annotate --output-file .ci/requirements-bench.txt
 
 $(READY): .ci/requirements.txt pyproject.toml
 	@test -n "$(PYTHON)" || { echo "error: Python 3.11 to 3.13 is needed; set PYTHON=/path/to/python" >&2; exit 2; }
@@ -67,5 +74,13 @@ $(READY): .ci/requirements.txt pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
+# The programs that idtool is compared with take 700 MB, and are kept out of .venv.
+$(BENCH_READY): .ci/requirements-bench.txt pyproject.toml
+	@test -n "$(PYTHON)" || { echo "error: Python 3.11 to 3.13 is needed; set PYTHON=/path/to/python" >&2; exit 2; }
+	$(PYTHON) -m venv --clear .venv-bench
+	.venv-bench/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r .ci/requirements-bench.txt
+	.venv-bench/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
 clean:
-	rm -rf .venv *_idtool site
+	rm -rf .venv .venv-bench *_idtool site

@@ -45,8 +45,13 @@ class Comparison:
 
     def __str__(self) -> str:
         ours, theirs = duration_text(self.ours), duration_text(self.theirs)
-        measures = "".join(f"; {name} {value:.1e}" for name, value in self.agreement.items())
-        return f"{self.task}: idtool {ours}, {self.peer} {theirs}: ratio {self.ratio_text}{measures}"
+        agreement = f"; {self.agreement_text}" if self.agreement else ""
+        return f"{self.task}: idtool {ours}, {self.peer} {theirs}: ratio {self.ratio_text}{agreement}"
+
+    @property
+    def agreement_text(self) -> str:
+        """Names and values of the differences."""
+        return "; ".join(f"{name} {value:.3g}" for name, value in self.agreement.items())
 
     @property
     def ratio_text(self) -> str:

@@ -100,7 +100,7 @@ class BranchedRobot:
             "inertial": {
                 "mass": _ROTOR_MASS,
                 "com": [0.0, 0.0, 0.0],
-                "inertia": {"ixx": ixx, "iyy": iyy, "izz": izz, "ixy": 0.0, "ixz": 0.0, "iyz": 0.0},
+                "inertia": [ixx, 0.0, iyy, 0.0, 0.0, izz],
             },
         }
 

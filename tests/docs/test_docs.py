@@ -99,6 +99,7 @@ def test_every_page_has_something_to_run_or_is_a_reference() -> None:
         "effects.md",
         "notices.md",
         "python.md",
+        "benchmarks.md",
     }
 
 

@@ -1,0 +1,163 @@
+"""All comparisons with other programs, and the growth of a fit's time and memory, in one table and one JSON file.
+
+Run ``make bench``, or ``python benchmarks/bench.py [NAME…] [--full] [--out FILE]``. NAME is one of the comparisons, or
+``growth``; default: all. A program that is not installed is listed as such. ``--full`` adds sizes that take minutes.
+``python benchmarks/bench_page.py`` makes a page of the documentation from the file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import growth
+import mcap_reading
+import peer_drake
+import peer_figaroh
+import peer_mujoco_leg
+import reduced_solve
+import regressor
+import simulate
+from bench_record import FILE, Bench, Machine
+from comparison import Comparison, duration_text
+from growth import growth_text
+from rich.console import Console
+from rich.table import Table
+
+import idtool
+
+TABLE_WIDTH = 170  # characters
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Comparisons with one program.
+
+    Attributes
+    ----------
+    name
+        Name on the command line.
+    peer
+        The program.
+    comparisons
+        Function that measures them.
+    is_installed
+        Function that tells if the program can be used.
+    """
+
+    name: str
+    peer: str
+    comparisons: Callable[[], list[Comparison]]
+    is_installed: Callable[[], bool] = lambda: True
+
+
+MEASUREMENTS = (
+    Measurement("cvxpy", "cvxpy", reduced_solve.comparisons),
+    Measurement("drake", "drake", peer_drake.comparisons, peer_drake.is_installed),
+    Measurement("figaroh", "figaroh", peer_figaroh.comparisons, peer_figaroh.is_installed),
+    Measurement("sysid", "mujoco[sysid]", peer_mujoco_leg.comparisons, peer_mujoco_leg.is_installed),
+    Measurement("regressor", "pin", regressor.comparisons),
+    Measurement("simulation", "pin", simulate.comparisons),
+    Measurement("mcap", "mcap", mcap_reading.comparisons),
+)
+GROWTH = "growth"
+
+
+def measure(names: Sequence[str], full: bool, tell: Callable[[str], None]) -> Bench:
+    """Measure some of the comparisons, or all of them, and the growth.
+
+    Parameters
+    ----------
+    names
+        Names of `MEASUREMENTS`, or ``growth``; none: all.
+    full
+        If true, also measure sizes that take minutes.
+    tell
+        Callback for what is measured now.
+    """
+    command = " ".join(["python benchmarks/bench.py", *names, *(["--full"] if full else [])])
+    load = [os.getloadavg()[0]]
+    today = f"{datetime.now(UTC):%Y-%m-%d}"
+    bench = Bench(today, command, idtool.__version__, _commit(), Machine.this(), load)
+    for measurement in MEASUREMENTS:
+        if names and measurement.name not in names:
+            continue
+        if not measurement.is_installed():
+            bench.not_installed.append(measurement.peer)
+            continue
+        tell(measurement.name)
+        try:
+            bench.comparisons += measurement.comparisons()
+        except Exception as failure:  # the others are still of interest
+            bench.failures[measurement.name] = _reason(failure)
+    for series in growth.SERIES if not names or GROWTH in names else ():
+        tell(f"growth with {series.quantity}")
+        try:
+            bench.growth.append(growth.measure_series(series, full))
+        except Exception as failure:
+            bench.failures[f"growth with {series.quantity}"] = _reason(failure)
+    load.append(os.getloadavg()[0])
+    return bench
+
+
+def _reason(failure: Exception) -> str:
+    return f"{type(failure).__name__}: {failure}".rstrip(": ")
+
+
+def _commit() -> str:
+    """The checkout's commit, with a + if files differ from it."""
+    command = ["git", "describe", "--always", "--dirty=+", "--exclude=*"]
+    try:
+        done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return done.stdout.strip()
+
+
+def ratio_table(bench: Bench) -> Table:
+    """The comparisons as a table; above 1, idtool is faster."""
+    table = Table("task", "compared with", "idtool", "other", "ratio (range)", "difference of the results")
+    for comparison in bench.comparisons:
+        table.add_row(
+            comparison.task,
+            comparison.peer,
+            duration_text(comparison.ours),
+            duration_text(comparison.theirs),
+            comparison.ratio_text,
+            comparison.agreement_text,
+        )
+    for peer in bench.not_installed:
+        table.add_row("", peer, "", "", "not installed", "")
+    for name, reason in bench.failures.items():
+        table.add_row(name, "", "", "", "failed", reason)
+    return table
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print the table and write the file; 1 if a measurement failed."""
+    names = [*(measurement.name for measurement in MEASUREMENTS), GROWTH]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(names))
+    parser.add_argument("--full", action="store_true", help="also the sizes that take minutes")
+    parser.add_argument("--out", type=Path, default=FILE, help=f"JSON file to write; default: {FILE.name} beside this")
+    options = parser.parse_args(arguments)
+    unknown = [name for name in options.names if name not in names]
+    if unknown:
+        parser.error(f"{unknown[0]}: is none of {', '.join(names)}")
+    bench = measure(options.names, options.full, lambda name: print(f"measuring {name} …", file=sys.stderr, flush=True))
+    console = Console(width=TABLE_WIDTH, markup=False, highlight=False)
+    console.print(ratio_table(bench))
+    for one in bench.growth:
+        print(growth_text(one))
+    options.out.write_text(bench.as_json())
+    return 1 if bench.failures else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
