@@ -26,16 +26,18 @@ INTRODUCTION = """\
 # Benchmarks
 
 This page compares the speed of idtool with that of other programs, and shows how the time and memory of a fit grow.
-All figures are from one run of `{command}` on {date}, with commit {commit} of idtool. The machine:
-{machine}. Linear algebra used one thread. Other programs ran at the same time: the load was {before:.1f}
-before the run and {after:.1f} after it.
+All figures are from one run of `{command}` on {date}, with commit {commit} of idtool.
+
+The machine: {machine}. Linear algebra used one thread.
+The load (number of programs that run or wait) was {before:.1f} before the run and {after:.1f} after it. Without other
+programs it would be 0 before and 1 to 2 after.
 """
 
 COMPARISON = """\
 ## Comparison with other programs
 
 The ratio is the time of the other program divided by that of idtool: above 1, idtool is faster. Both take turns. The
-ratio is the median over the repetitions, with its range in brackets.
+ratio is the median over the repetitions, with its range in brackets. In the plot, red bars show where idtool is slower.
 
 The last column shows how far the results of the two programs are apart. *Relative cost* is the amount by which the
 cost of the other program's optimum exceeds that of idtool. *Relative parameters* is the distance of the parameters, in
@@ -49,8 +51,8 @@ GROWTH = """\
 ## Growth of time and memory
 
 Each size is fitted by `{command}` in a new process. `benchmarks/long_logs.py` makes
-the robots and the logs. Times are those of the whole command: start, reading, fit and report. Memory is the peak of the
-largest process.
+the robots and the logs. Times are those of the whole command: start, reading, fit and report, the least of at least two
+runs. Memory is the peak of the largest process.
 
 The exponent is the slope in the double logarithmic plot. With an exponent of 1, twice the size takes twice the time.
 The constant time of the start and the constant memory of the libraries decrease it. Therefore the slope between the
@@ -97,7 +99,7 @@ def _comparison_section(bench: Bench) -> list[str]:
         lines.append(f"| {name} | | | | failed | |")
     if notes:
         lines += ["", "Differences between the tasks:", ""]
-        lines += [f"{i + 1}. {_sentence(note)}" for i, note in enumerate(notes)]
+        lines += [f"{i + 1}. {note}" for i, note in enumerate(notes)]
     return [COMPARISON, "\n".join(lines), ""]
 
 
@@ -109,7 +111,8 @@ def _growth_section(bench: Bench) -> list[str]:
     for growth in bench.growth:
         command = f"python benchmarks/growth.py {growth.quantity}"
         lines = [f"### {growth.quantity.capitalize()}", ""]
-        lines.append(f"{_sentence(growth.description)} Load before: {growth.load:.1f}. Command: `{command}`.")
+        description = f"{growth.description[0].upper()}{growth.description[1:]}"
+        lines.append(f"{description}. Load before: {growth.load:.1f}. Command: `{command}`.")
         lines += ["", f"| {growth.unit} | wall time [s] | CPU time [s] | memory [MiB] |", "| --- | --- | --- | --- |"]
         for size, cost in zip(growth.sizes, growth.costs, strict=True):
             lines.append(f"| {size:g} | {cost.wall:.2f} | {cost.cpu:.2f} | {cost.memory / 2**20:.0f} |")
@@ -121,10 +124,6 @@ def _growth_section(bench: Bench) -> list[str]:
             lines.append(f"| {words} | {values} |")
         parts += ["\n".join(lines), ""]
     return parts
-
-
-def _sentence(text: str) -> str:
-    return f"{text[0].upper()}{text[1:]}."
 
 
 @dataclass(frozen=True)

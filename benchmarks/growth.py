@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import statistics
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -72,7 +71,7 @@ class Series:
     full_tasks
         Larger sizes that take minutes.
     repetitions
-        Number of runs of each size, by turns.
+        Number of runs of each size, by turns; the least times count, those least disturbed by other programs.
     """
 
     quantity: str
@@ -80,7 +79,7 @@ class Series:
     description: str
     tasks: tuple[Task, ...]
     full_tasks: tuple[Task, ...] = ()
-    repetitions: int = 1
+    repetitions: int = 2
 
 
 SHORT = 20 / 60  # min
@@ -116,7 +115,7 @@ SERIES = (
         "processes",
         "quadruped with 12 joints, one log of 10 minutes",
         tuple(Task(n, minutes=10, jobs=n) for n in (1, 2)),
-        repetitions=2,
+        repetitions=4,
     ),
 )
 
@@ -198,7 +197,7 @@ def measure(task: Task, folder: Path) -> Cost:
 
 
 def measure_series(series: Series, full: bool) -> Growth:
-    """Costs of all sizes of a series, medians over the repetitions, which take turns."""
+    """Costs of all sizes of a series, the least times and the largest memory of the repetitions, which take turns."""
     tasks = series.tasks + (series.full_tasks if full else ())
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as name:
@@ -213,8 +212,8 @@ def measure_series(series: Series, full: bool) -> Growth:
             runs.append([measure(task, folders[task.files]) for task in tasks])
     costs = []
     for of_size in zip(*runs, strict=True):
-        wall = statistics.median(cost.wall for cost in of_size)
-        cpu = statistics.median(cost.cpu for cost in of_size)
+        wall = min(cost.wall for cost in of_size)
+        cpu = min(cost.cpu for cost in of_size)
         costs.append(Cost(wall, cpu, max(cost.memory for cost in of_size)))
     sizes = tuple(float(task.size) for task in tasks)
     return Growth(series.quantity, series.unit, series.description, sizes, tuple(costs), load)

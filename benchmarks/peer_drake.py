@@ -178,7 +178,7 @@ def leg_comparisons() -> list[Comparison]:
     optimum = problem.S @ solve(problem)[0]
     compared = []
     for way, words in (
-        (solve_residuals, "residuals as variables, tolerances of 1e-12"),
+        (solve_residuals, "residuals as variables, tolerances 1e-12"),
         (solve_squared, "Add2NormSquaredCost, default tolerances"),
     ):
         x = way(problem, problem.A, problem.b)
@@ -186,13 +186,13 @@ def leg_comparisons() -> list[Comparison]:
         assert abs(agreement["relative cost"]) < 1e-5
         compared.append(
             compare(
-                f"identification within ellipsoids from R-factors, leg of 6 bodies; in Drake with {words}",
-                version_text("drake"),
+                "identification within ellipsoids from R-factors, leg of 6 bodies",
+                f"{version_text('drake')}, {words}",
                 lambda: solve(problem),
                 lambda way=way: way(problem, problem.A, problem.b),  # type: ignore[misc]
                 REPETITIONS,
                 agreement,
-                "idtool's time includes its certificate",
+                "The time of idtool includes its certificate.",
             )
         )
     return compared
@@ -220,16 +220,16 @@ def quadruped_comparisons() -> list[Comparison]:
             task.regressor,
             REPETITIONS,
             {"relative columns": float(difference)},
-            "Drake's is the derivative of the inverse dynamics by automatic differentiation; idtool's has friction too",
+            "Drake differentiates the inverse dynamics automatically. The columns of idtool include friction.",
         ),
         compare(
-            f"from {SAMPLES} samples to realizable bodies, {joints} joints; in Drake with Add2NormSquaredCost",
-            peer,
+            f"from {SAMPLES} samples to realizable bodies, {joints} joints",
+            f"{peer}, Add2NormSquaredCost",
             samples.identify,
             lambda: task.identify(problem, noise),
             REPETITIONS,
             agreement,
-            "the weights of the joints and the columns of friction are given to Drake",
+            "Drake gets the weights of the joints and the columns of friction from idtool.",
         ),
     ]
 

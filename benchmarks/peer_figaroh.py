@@ -154,7 +154,7 @@ def comparisons() -> list[Comparison]:
             task.regressor,
             REPETITIONS,
             columns,
-            "Coulomb friction is sign(v) in FIGAROH, and its mean over a sample in idtool",
+            "The column of Coulomb friction is sign(v) in FIGAROH, and its mean over a sample in idtool.",
         ),
         compare(
             f"identification with realizable bodies from R-factors, {joints} joints",
@@ -163,7 +163,7 @@ def comparisons() -> list[Comparison]:
             lambda: task.solve(theirs),
             REPETITIONS,
             optima,
-            "idtool's time includes its certificate, FIGAROH's its record of residuals",
+            "The time of idtool includes its certificate, that of FIGAROH its record of residuals.",
         ),
         compare(
             f"from {SAMPLES} samples to realizable bodies, {joints} joints",
@@ -172,7 +172,7 @@ def comparisons() -> list[Comparison]:
             task.identify,
             REPETITIONS,
             optima,
-            "FIGAROH's time includes the base parameters; the weights of the joints are given to it, idtool finds them",
+            "The time of FIGAROH includes the base parameters. It gets the weights of the joints from idtool.",
         ),
     ]
 

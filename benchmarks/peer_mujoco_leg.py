@@ -14,13 +14,14 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import sample_leg
 import startup
-from comparison import Comparison, can_import, from_times, version_text
+from comparison import Comparison, can_import, from_times
 from numpy.typing import NDArray
 
 from idtool.data.signals import Signals
@@ -205,11 +206,11 @@ def comparisons() -> list[Comparison]:
     return [
         from_times(
             "identification of the leg from 10 s, and its motion on another log in windows of 1 s",
-            version_text("mujoco"),
+            f"mujoco.sysid {metadata.version('mujoco')}",
             pairs,
             agreement,
-            f"mujoco.sysid fits {count} parameters of rollouts from idtool's start states, its rotors are armature; "
-            "idtool's time includes start-up, standard errors, rollouts and page",
+            f"The rollouts of mujoco.sysid have {count} parameters and idtool's start states. Its rotors are armature. "
+            "The time of idtool includes start-up, standard errors, rollouts and page.",
         )
     ]
 

@@ -74,13 +74,13 @@ def comparisons() -> list[Comparison]:
     return [
         compare(task, f"loop over {peer}", columns, stored_results, REPETITIONS, agreement),
         compare(
-            f"{task}; without storing it",
+            task,
             f"bare calls of {peer}",
             columns,
             bare_calls,
             REPETITIONS,
             agreement,
-            "the loop discards its results and leaves out the coupling of rotors and joints",
+            "The loop discards its results and leaves out the coupling of rotors and joints.",
         ),
     ]
 

@@ -34,7 +34,7 @@ TorqueFunction = Callable[[float, Array, Array], Array]  # of t, q, v
 REPETITIONS = 5
 STEP = 1e-3  # s
 FRICTION_WIDTH = 0.01  # rad/s
-LOOP_REMARK = "the loop has no stiction, no gyroscopic torque of rotors and no times of friction reversal"
+LOOP_REMARK = "The loop has no stiction, no gyroscopic torque of rotors and no exact times of friction reversals."
 CONFIG = Path(__file__).parents[1] / "configs" / "go2.yaml"
 
 
@@ -145,7 +145,7 @@ def comparisons_of(name: str, experiment: Experiment, window: float | None) -> l
         ours()
         return [
             compare(task, f"{peer}, Runge-Kutta", ours, runge_kutta, REPETITIONS, remark=LOOP_REMARK),
-            compare(task, f"{peer}, Euler", ours, euler, REPETITIONS, remark=f"of order 1; {LOOP_REMARK}"),
+            compare(task, f"{peer}, Euler", ours, euler, REPETITIONS, remark=f"{LOOP_REMARK} It is of order 1."),
         ]
 
 

@@ -23,7 +23,7 @@ from lxml import etree
 from rich.console import Console
 
 MIB = 2**20
-QUICK = from_times("a task", "a program 1.0", [(0.1, 1.0), (0.1, 3.0), (0.2, 4.0)], {"relative cost": 1e-9}, "a note")
+QUICK = from_times("a task", "a program 1.0", [(0.1, 1.0), (0.1, 3.0), (0.2, 4.0)], {"relative cost": 1e-9}, "A note.")
 SLOW = from_times("another task", "a program 1.0", [(1.0, 0.4)])
 GROWTH = Growth(
     quantity="joints",
@@ -126,15 +126,15 @@ def test_a_series_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
         assert (folder / "robot.urdf").exists()
         assert len([*folder.glob("log_*.mcap")]) == task.logs
         runs.append(task.size)
-        return Cost(task.size, 2 * task.size, MIB * len(runs))
+        return Cost(len(runs), 2 * len(runs), MIB * len(runs))
 
     monkeypatch.setattr(growth, "measure", measure)
     tasks = tuple(Task(n, branches=1, length=2, minutes=0.002, logs=n) for n in (1, 2))
     measured = growth.measure_series(Series("logs", "logs", "a chain", tasks, repetitions=2), full=False)
     assert runs == [1, 1, 2, 1, 2]  # the first does not count
     assert measured.sizes == (1, 2)
-    assert [cost.wall for cost in measured.costs] == [1, 2]
-    assert [cost.memory for cost in measured.costs] == [4 * MIB, 5 * MIB]
+    assert [cost.wall for cost in measured.costs] == [2, 3]  # the least
+    assert [cost.memory for cost in measured.costs] == [4 * MIB, 5 * MIB]  # the largest
 
 
 def test_a_fit_is_measured(tmp_path: Path) -> None:
