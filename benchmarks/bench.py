@@ -111,12 +111,18 @@ def _reason(failure: Exception) -> str:
 
 
 def _commit() -> str:
-    """The checkout's commit, with a + if files differ from it."""
-    command = ["git", "describe", "--always", "--dirty=+", "--exclude=*"]
+    """The last commit that changed the package, with a + if its files differ from it; empty if it is unknown."""
     try:
-        done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+        commit = _git("log", "-1", "--format=%h", "--", "idtool")
+        changes = _git("status", "--porcelain", "--", "idtool")
     except (OSError, subprocess.CalledProcessError):
         return ""
+    return f"{commit}+" if changes else commit
+
+
+def _git(*arguments: str) -> str:
+    folder = Path(__file__).parents[1]
+    done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, text=True, check=True)  # noqa: S607
     return done.stdout.strip()
 
 

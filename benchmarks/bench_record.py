@@ -76,7 +76,7 @@ class Bench:
     command
         The command line.
     version, commit
-        Version of idtool; its commit, empty if it is unknown.
+        Version of idtool; the last commit that changed the package, empty if it is unknown.
     machine
         The machine.
     load
