@@ -1,8 +1,10 @@
 """All comparisons with other programs, and the growth of a fit's time and memory, in one table and one JSON file.
 
-Run ``make bench``, or ``python benchmarks/bench.py [NAME…] [--full] [--out FILE]``. NAME is one of the comparisons, or
-``growth``; default: all. A program that is not installed is listed as such. ``--full`` adds sizes that take minutes.
-``python benchmarks/bench_page.py`` makes a page of the documentation from the file.
+Run ``make bench``, or ``python benchmarks/bench.py [NAME…] [--full] [--update] [--out FILE]``. NAME is one of the
+comparisons or a quantity that grows, such as ``workers``; default: all. A program that is not installed is listed as
+such. ``--full`` adds sizes that take minutes. ``--update`` keeps what the file has of others, if it is of the same
+machine and commit: for what other programs disturbed. ``python benchmarks/bench_page.py`` makes a page of the
+documentation from the file.
 """
 
 from __future__ import annotations
@@ -66,7 +68,11 @@ MEASUREMENTS = (
     Measurement("simulation", "pin", simulate.comparisons),
     Measurement("mcap", "mcap", mcap_reading.comparisons),
 )
-GROWTH = "growth"
+
+
+def all_names() -> list[str]:
+    """Names of everything that can be measured."""
+    return [*(measurement.name for measurement in MEASUREMENTS), *(series.quantity for series in growth.SERIES)]
 
 
 def measure(names: Sequence[str], full: bool, tell: Callable[[str], None]) -> Bench:
@@ -75,7 +81,7 @@ def measure(names: Sequence[str], full: bool, tell: Callable[[str], None]) -> Be
     Parameters
     ----------
     names
-        Names of `MEASUREMENTS`, or ``growth``; none: all.
+        Names of `MEASUREMENTS` or of quantities that grow; none: all.
     full
         If true, also measure sizes that take minutes.
     tell
@@ -84,7 +90,7 @@ def measure(names: Sequence[str], full: bool, tell: Callable[[str], None]) -> Be
     command = " ".join(["python benchmarks/bench.py", *names, *(["--full"] if full else [])])
     load = [os.getloadavg()[0]]
     today = f"{datetime.now(UTC):%Y-%m-%d}"
-    bench = Bench(today, command, idtool.__version__, _commit(), Machine.this(), load)
+    bench = Bench(today, [command], idtool.__version__, _commit(), Machine.this(), load)
     for measurement in MEASUREMENTS:
         if names and measurement.name not in names:
             continue
@@ -96,12 +102,14 @@ def measure(names: Sequence[str], full: bool, tell: Callable[[str], None]) -> Be
             bench.comparisons += measurement.comparisons()
         except Exception as failure:  # the others are still of interest
             bench.failures[measurement.name] = _reason(failure)
-    for series in growth.SERIES if not names or GROWTH in names else ():
+    for series in growth.SERIES:
+        if names and series.quantity not in names:
+            continue
         tell(f"growth with {series.quantity}")
         try:
             bench.growth.append(growth.measure_series(series, full))
         except Exception as failure:
-            bench.failures[f"growth with {series.quantity}"] = _reason(failure)
+            bench.failures[series.quantity] = _reason(failure)
     load.append(os.getloadavg()[0])
     return bench
 
@@ -147,16 +155,22 @@ def ratio_table(bench: Bench) -> Table:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print the table and write the file; 1 if a measurement failed."""
-    names = [*(measurement.name for measurement in MEASUREMENTS), GROWTH]
+    names = all_names()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(names))
     parser.add_argument("--full", action="store_true", help="also the sizes that take minutes")
+    parser.add_argument("--update", action="store_true", help="keep what the file has of others")
     parser.add_argument("--out", type=Path, default=FILE, help=f"JSON file to write; default: {FILE.name} beside this")
     options = parser.parse_args(arguments)
     unknown = [name for name in options.names if name not in names]
     if unknown:
         parser.error(f"{unknown[0]}: is none of {', '.join(names)}")
+    old = Bench.from_json(options.out.read_text()) if options.update else None
+    if old is not None and (old.machine, old.commit) != (Machine.this(), _commit()):
+        parser.error(f"{options.out}: is of another machine or commit; measure everything, without --update")
     bench = measure(options.names, options.full, lambda name: print(f"measuring {name} …", file=sys.stderr, flush=True))
+    if old is not None:
+        bench = old.updated(bench, options.names or names)
     console = Console(width=TABLE_WIDTH, markup=False, highlight=False)
     console.print(ratio_table(bench))
     for one in bench.growth:

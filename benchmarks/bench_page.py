@@ -26,11 +26,11 @@ INTRODUCTION = """\
 # Benchmarks
 
 This page compares the speed of idtool with that of other programs, and shows how the time and memory of a fit grow.
-All figures are from one run of `{command}` on {date}, with commit {commit} of idtool.
+The figures are from {commands} on {date}, with commit {commit} of idtool.
 
 The machine: {machine}. Linear algebra used one thread.
-The load (number of programs that run or wait) was {before:.1f} before the run and {after:.1f} after it. Without other
-programs it would be 0 before and 1 to 2 after.
+The load (number of programs that run or wait) was between {least:.1f} and {most:.1f}. Without other programs it would
+be at most 2.
 """
 
 COMPARISON = """\
@@ -68,12 +68,12 @@ def page(bench: Bench) -> str:
     cores = f"{machine.cores} cores" if machine.cores > 1 else "one core"
     memory = f"{machine.memory / 2**30:.0f} GiB of memory"
     introduction = INTRODUCTION.format(
-        command=bench.command,
+        commands=" and ".join(f"`{command}`" for command in bench.commands),
         date=bench.date,
         commit=bench.commit or "unknown",
         machine=f"{machine.processor}, {cores}, {memory}, {machine.system}, Python {machine.python}",
-        before=bench.load[0],
-        after=bench.load[1],
+        least=min(bench.load),
+        most=max(bench.load),
     )
     return "\n".join([introduction, *_comparison_section(bench), *_growth_section(bench)])
 
@@ -108,8 +108,9 @@ def _growth_section(bench: Bench) -> list[str]:
     if not bench.growth:
         return []
     parts = [GROWTH.format(command=COMMAND)]
+    full = " --full" if any("--full" in command for command in bench.commands) else ""
     for growth in bench.growth:
-        command = f"python benchmarks/growth.py {growth.quantity}"
+        command = f"python benchmarks/growth.py {growth.quantity}{full}"
         lines = [f"### {growth.quantity.capitalize()}", ""]
         description = f"{growth.description[0].upper()}{growth.description[1:]}"
         lines.append(f"{description}. Load before: {growth.load:.1f}. Command: `{command}`.")

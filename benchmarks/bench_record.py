@@ -6,7 +6,8 @@ import json
 import os
 import platform
 import re
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -67,20 +68,20 @@ class Machine:
 
 @dataclass
 class Bench:
-    """Everything that was measured in one run.
+    """Everything that was measured with one version on one machine.
 
     Attributes
     ----------
     date
         Day of the measurement, UTC.
-    command
-        The command line.
+    commands
+        The command lines.
     version, commit
         Version of idtool; the last commit that changed the package, empty if it is unknown.
     machine
         The machine.
     load
-        Load of the machine before and after: processes that ran or waited, mean of a minute.
+        Load of the machine before and after each command: processes that ran or waited, mean of a minute.
     comparisons
         Comparisons with other programs.
     not_installed
@@ -92,7 +93,7 @@ class Bench:
     """
 
     date: str
-    command: str
+    commands: list[str]
     version: str
     commit: str
     machine: Machine
@@ -110,6 +111,29 @@ class Bench:
         data["comparisons"] = [Comparison(**row) for row in data["comparisons"]]
         data["growth"] = [_growth(**row) for row in data["growth"]]
         return cls(**data)
+
+    def updated(self, later: Bench, names: Sequence[str]) -> Bench:
+        """The record with what was measured later on the same machine with the same version.
+
+        Parameters
+        ----------
+        later
+            The later record.
+        names
+            Names of what it measured.
+        """
+        comparisons = {(one.task, one.peer): one for one in (*self.comparisons, *later.comparisons)}
+        quantities = {one.quantity: one for one in (*self.growth, *later.growth)}
+        failures = {name: reason for name, reason in self.failures.items() if name not in names}
+        return replace(
+            later,
+            commands=[*self.commands, *later.commands],
+            load=[*self.load, *later.load],
+            comparisons=list(comparisons.values()),
+            not_installed=list(dict.fromkeys([*self.not_installed, *later.not_installed])),
+            failures={**failures, **later.failures},
+            growth=list(quantities.values()),
+        )
 
     def as_json(self) -> str:
         """The figures as JSON, with the exponents of the growth."""

@@ -39,7 +39,7 @@ MACHINE = Machine("a processor", 2, 2**34, "Linux", "3.11.7", {"numpy": "2.4.6"}
 def example() -> Bench:
     return Bench(
         date="2026-01-02",
-        command="python benchmarks/bench.py",
+        commands=["python benchmarks/bench.py"],
         version="0.1.0",
         commit="abc",
         machine=MACHINE,
@@ -158,6 +158,19 @@ def test_the_file_keeps_everything() -> None:
     assert json.loads(text)["growth"][0]["exponents"]["cpu"]["all"] == pytest.approx(2)
 
 
+def test_a_record_is_updated_by_a_later_one() -> None:
+    better = replace(QUICK, ours=0.05)
+    quicker = replace(GROWTH, load=0.0)
+    later = replace(
+        example(), commands=["again"], comparisons=[better], not_installed=[], failures={}, growth=[quicker]
+    )
+    updated = example().updated(later, ["figaroh", "joints"])
+    assert updated.comparisons == [better, SLOW]
+    assert updated.growth == [quicker]
+    assert (updated.not_installed, updated.failures) == (["drake"], {})
+    assert updated.commands == ["python benchmarks/bench.py", "again"]
+
+
 def test_what_is_not_installed_or_failed_is_in_the_table() -> None:
     table = printed(example())
     assert re.search(r"a task .*\b100 ms .*\b3 s .*20 \(10 to 30\).*relative cost 1e-09", table)
@@ -185,6 +198,16 @@ def test_a_missing_program_and_a_failure_do_not_stop_the_others(
     assert record.failures == {"failing": "ValueError: no optimum"}
     assert "missing" in capsys.readouterr().out
     assert bench.main(["good", "--out", str(file)]) == 0
+
+
+def test_a_file_of_another_machine_is_not_updated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "bench.json"
+    file.write_text(example().as_json())
+    with pytest.raises(SystemExit) as stopped:
+        bench.main(["mcap", "--update", "--out", str(file)])
+    assert stopped.value.code == 2
+    assert "another machine or commit" in capsys.readouterr().err
+    assert file.read_text() == example().as_json()
 
 
 def test_an_unknown_name_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
