@@ -74,7 +74,7 @@ $(READY): .ci/requirements.txt pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
-# The programs that idtool is compared with take 700 MB, and are kept out of .venv.
+# The programs that idtool is compared with take another 700 MB, and are kept out of .venv.
 $(BENCH_READY): .ci/requirements-bench.txt pyproject.toml
 	@test -n "$(PYTHON)" || { echo "error: Python 3.11 to 3.13 is needed; set PYTHON=/path/to/python" >&2; exit 2; }
 	$(PYTHON) -m venv --clear .venv-bench
