@@ -56,7 +56,7 @@ runs. Memory is the peak of the largest process.
 
 The exponent is the slope in the double logarithmic plot. With an exponent of 1, twice the size takes twice the time.
 The constant time of the start and the constant memory of the libraries decrease it. Therefore the slope between the
-two largest sizes is given, too.
+two largest sizes is given, too. For processes, the exponent of the wall time is −1 at best, if the cores are free.
 
 ![Time and memory of a fit](images/bench_growth.svg)
 """

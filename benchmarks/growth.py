@@ -234,9 +234,12 @@ def main() -> None:
     """Measure and print."""
     names = [series.quantity for series in SERIES]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("quantities", nargs="*", choices=[*names, []], metavar="QUANTITY", default=[])
+    parser.add_argument("quantities", nargs="*", metavar="QUANTITY", help=", ".join(names))
     parser.add_argument("--full", action="store_true", help="also the sizes that take minutes")
     options = parser.parse_args()
+    unknown = [quantity for quantity in options.quantities if quantity not in names]
+    if unknown:
+        parser.error(f"{unknown[0]}: is none of {', '.join(names)}")
     for series in SERIES:
         if not options.quantities or series.quantity in options.quantities:
             print(growth_text(measure_series(series, options.full)), flush=True)
