@@ -106,7 +106,8 @@ def estimate_from_logs(
     if set_name is None and config.solver.name in LOCAL:
         set_name = "full"  # the only one that a local solver knows
     sets, notices = choose_sets(experiment.model.bodies, set_name)
-    experiment, path, prior_notices = _with_prior(experiment, data, reduction, sets, progress)
+    noise = free_noise(experiment.equation, reduction, experiment.equalities)
+    experiment, path, prior_notices = _with_prior(experiment, data, reduction, sets, noise, progress)
     notices += prior_notices
     prior = experiment.model.bodies
     regularization = experiment.config.regularization
@@ -122,7 +123,7 @@ def estimate_from_logs(
         solver=config.solver.name,
         backend=config.solver.backend,
     )
-    solution = reestimate(reduction)
+    solution = reestimate(reduction, noise=noise)
     two_stage = None
     if method == "iv":
         two_stage = two_stage_estimate(experiment, sets, solution.theta, progress)
@@ -148,6 +149,7 @@ def _with_prior(
     data: Sequence[Blocks],
     reduction: Reduction,
     sets: Sequence[ConstraintSet],
+    noise: Array,
     progress: Progress,
 ) -> tuple[Experiment, RegularizationPath | None, list[Notice]]:
     """The experiment with its prior and the prior's weight as a number, the choice of that, and notices."""
@@ -165,7 +167,6 @@ def _with_prior(
     if regularization.is_automatic:
         progress("choosing the prior's weight", 0.0)
         equation, bodies, equalities = experiment.equation, experiment.model.bodies, experiment.equalities
-        noise = free_noise(equation, reduction, equalities)
         try:
             path = regularization_path(equation, bodies, data, sets, regularization, equalities, noise)
             regularization = regularization.with_weight(path.weight)

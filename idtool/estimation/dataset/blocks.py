@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.threads import in_threads
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.reduction import Factor, Reduction, merge
 
@@ -61,7 +62,9 @@ def merge_reductions(reductions: Sequence[Reduction]) -> Reduction:
     """The reduction of all rows of several reductions, joint by joint."""
     if len(reductions) == 1:
         return reductions[0]
-    return tuple(Factor.merged(factors) for factors in zip(*reductions, strict=True))
+    factors_of_joints = list(zip(*reductions, strict=True))
+    work = sum(factor.R.size for reduction in reductions for factor in reduction)
+    return tuple(in_threads(Factor.merged, factors_of_joints, work))
 
 
 def most_blocks(active: Iterable[Indices]) -> int:

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from idtool.common.arrays import Array
-from idtool.common.linear_algebra import least_squares
+from idtool.common.arrays import Array, Indices
+from idtool.common.linear_algebra import least_squares, triangle_with_rows
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.robot.model import WRENCH_SIZE, RobotModel
 
-_MOST_ROWS = 4  # for each coefficient, in memory at once
+_MOST_ROWS = 4  # for each coefficient
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
 _WEIGHINGS = 2  # of the joints by their noise
 _GUESSED_SHARE = 0.02  # of a joint's torque, or of the weight: first guess of the noise
@@ -28,18 +28,23 @@ _LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weig
 def weighted_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Array:
     """Rows [Y, tau] over all coefficients, in units of the noise and per sample, shape (rows, p + 1).
 
-    They are those of all joints or, if these are far more than there are coefficients, as many as those by QR.
+    They are those of all joints or, if these are far more than there are coefficients, the triangular factor of them.
     """
     samples = max(sum(factor.rows for factor in reduction) / len(reduction), 1.0)
     p = len(model.coefficients)
-    pieces: list[Array] = []
-    for factor, columns, sigma in zip(reduction, model.active(), noise, strict=True):
+
+    def expanded(factor: Factor, columns: Indices, sigma: float) -> Array:
         rows = np.zeros((len(factor.R), p + 1))
         rows[:, [*columns, p]] = factor.R / (sigma * np.sqrt(samples))
-        pieces.append(rows)
-        if sum(map(len, pieces)) > _MOST_ROWS * (p + 1):
-            pieces = [np.asarray(np.linalg.qr(np.concatenate(pieces), mode="r"))]
-    return np.concatenate(pieces)
+        return rows
+
+    joints = list(zip(reduction, model.active(), noise.tolist(), strict=True))
+    if sum(len(factor.R) for factor in reduction) <= _MOST_ROWS * (p + 1):
+        return np.concatenate([expanded(*joint) for joint in joints])
+    R = np.zeros((p + 1, p + 1))
+    for joint in reversed(joints):  # towards the tip of a chain there are fewer columns
+        R = triangle_with_rows(R, expanded(*joint))
+    return R
 
 
 def _noise_floor(factor: Factor) -> float:

@@ -158,6 +158,7 @@ def build_problem(
     regularization: Regularization,
     noise: Array,
     equalities: EqualityConstraints | None = None,
+    data: Array | None = None,
 ) -> Problem:
     """State (27) on R-factors.
 
@@ -177,6 +178,8 @@ def build_problem(
         sigma, shape (nv,).
     equalities
         The equality constraints; default: none.
+    data
+        The `weighted_rows`, if they are known.
 
     Raises
     ------
@@ -185,7 +188,7 @@ def build_problem(
     """
     p = len(model.coefficients)
     equalities = equalities or EqualityConstraints.none(p)
-    data = weighted_rows(model, reduction, noise)
+    data = weighted_rows(model, reduction, noise) if data is None else data
     units = _units(model, data)
     soft = _soft_rows(equalities, reduction, p)
     prior = prior_rows(model, bodies, regularization, units)

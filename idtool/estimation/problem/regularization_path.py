@@ -20,12 +20,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
+from scipy.linalg import block_diag
 
 from idtool.common.arrays import Array
+from idtool.common.threads import in_threads
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
+from idtool.estimation.dataset.weights import weighted_rows
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.robot.body import Body
@@ -280,7 +284,7 @@ class _Tracker:
     body_count
         Number of bodies.
     data_gram
-        Gram matrix of all data, per sample.
+        Gram matrix of all data on [x; −1], per sample.
 
     Parameters
     ----------
@@ -297,18 +301,24 @@ class _Tracker:
         equalities: EqualityConstraints,
         noise: Array,
     ) -> None:
+        rows = weighted_rows(model, total, noise)
+
         def problem_with(weight: float) -> Problem:
-            return build_problem(model, bodies, total, sets, regularization.with_weight(weight), noise, equalities)
+            weighted = regularization.with_weight(weight)
+            return build_problem(model, bodies, total, sets, weighted, noise, equalities, rows)
 
         without_prior, self.problem = problem_with(0.0), problem_with(1.0)
         self.model, self.noise, self.body_count = model, noise, len(bodies)
-        self.data_gram = self._gram_of_data(total)
-        gram_without_prior = _gram_of_problem(without_prior)
+        K, S = self.problem.K * self.problem.scale, self.problem.S
+        self._theta_of_x = _homogeneous(K @ S)  # sparse: a body's parameters depend on its own variables only
+        self._z_of_x = _homogeneous(S)
+        self.data_gram = _transformed(rows.T @ rows, self._theta_of_x)
+        gram_without_prior = _transformed(_gram_of_problem(without_prior), self._z_of_x)
         self._constraint_gram = gram_without_prior - self.data_gram  # of measured constraints and the anchor
-        self._prior_gram = _gram_of_problem(self.problem) - gram_without_prior  # at the weight 1
+        self._prior_gram = _transformed(_gram_of_problem(self.problem), self._z_of_x) - gram_without_prior
         gap = _GAP * max(without_prior.constant, _LEAST_COST)
         prior = model.prior[equalities.free] / self.problem.scale
-        start = np.asarray(np.linalg.lstsq(self.problem.S, prior, rcond=None)[0])
+        start = np.asarray(np.linalg.lstsq(S, prior, rcond=None)[0])
         self._barrier = Barrier(self.problem, *self._quadratic(self.data_gram, float(WEIGHTS[0])), gap, start)
 
     def solve(self, data_gram: Array, weights: Array, starts: Array | None = None) -> Array:
@@ -319,32 +329,41 @@ class _Tracker:
             x[i] = self._barrier.move(P, q, weight, None if starts is None else starts[i])
         return x
 
-    def _gram_of_data(self, data: Reduction) -> Array:
-        """The Gram matrix of data, in units of the noise and per sample."""
+    def _gram_of_blocks(self, blocks: Sequence[Reduction]) -> Array:
+        """Gram matrix of some blocks' data on [x; −1], in units of the noise."""
         p = len(self.problem.K)
-        samples = max(sum(factor.rows for factor in data) / len(data), 1.0)
         gram = np.zeros((p + 1, p + 1))
-        for factor, columns, sigma in zip(data, self.model.active(), self.noise, strict=True):
+        for factors, columns, sigma in zip(zip(*blocks, strict=True), self.model.active(), self.noise, strict=True):
             own = [*columns, p]
-            gram[np.ix_(own, own)] += factor.R.T @ factor.R / (sigma**2 * samples)
-        to_rows = np.zeros((p + 1, self.problem.K.shape[1] + 1))
-        to_rows[:p, :-1] = self.problem.K * self.problem.scale
-        to_rows[p, -1] = 1.0
-        return np.asarray(to_rows.T @ gram @ to_rows)
+            rows = np.concatenate([factor.R for factor in factors])
+            gram[np.ix_(own, own)] += rows.T @ rows / sigma**2
+        return _transformed(gram, self._theta_of_x)
 
     def _quadratic(self, data_gram: Array, weight: float) -> tuple[Array, Array]:
         """The quadratic part ½ xᵀ P x − qᵀ x of the cost at a weight: P, shape (m, m), and q, shape (m,)."""
-        S = self.problem.S
         gram = data_gram + self._constraint_gram + weight * self._prior_gram
-        AtA, Atb = gram[:-1, :-1], gram[:-1, -1]
-        return 2 * S.T @ AtA @ S, 2 * S.T @ Atb
+        return 2 * gram[:-1, :-1], 2 * gram[:-1, -1]
 
     def mean_squares(self, gram: Array, x: Array) -> Array:
         """Mean squared residuals in units of the noise, of several x, shape (W, m) to (W,)."""
-        v = np.column_stack([x @ self.problem.S.T, np.full(len(x), -1.0)])  # [A, b] v is the residual
+        v = _with_minus_ones(x)  # [A, b] v is the residual
         squares = ((v @ gram) * v).sum(axis=1)
-        rounding = _ROUNDING * gram[-1, -1]
-        return np.asarray(np.maximum(squares, rounding) / len(self.noise))
+        return self._above_rounding(squares, gram[-1, -1]) / len(self.noise)
+
+    def _above_rounding(self, squares: Array, squared_torque: float) -> Array:
+        """Sums of squared residuals, no smaller than rounding leaves of those of the torque."""
+        return np.asarray(np.maximum(squares, _ROUNDING * squared_torque))
+
+    def squared_residuals(self, block: Reduction, x: Array) -> Array:
+        """Sum of a block's squared residuals in units of the noise, of several x, shape (W, m) to (W,)."""
+        v = _with_minus_ones(x) @ self._theta_of_x.T
+        p = len(self.problem.K)
+        squares, squared_torque = np.zeros(len(x)), 0.0
+        for factor, columns, sigma in zip(block, self.model.active(), self.noise, strict=True):
+            residuals = factor.R @ v[:, [*columns, p]].T / sigma
+            squares += np.square(residuals).sum(axis=0)
+            squared_torque += float(np.square(factor.R[:, -1] / sigma).sum())
+        return self._above_rounding(squares, squared_torque)
 
     def validation_errors(self, blocks: Sequence[Reduction], x: Array) -> tuple[Array, Array]:
         """Sums of squared residuals of each block under the fit to the other folds, shape (V, B), and its rows (B,).
@@ -353,16 +372,18 @@ class _Tracker:
         (W, m), are where the search begins.
         """
         rows = np.array([sum(factor.rows for factor in block) for block in blocks], dtype=float)
-        grams = np.array([self._gram_of_data(block) for block in blocks])
         weights, starts = WEIGHTS[_VALIDATED], x[_VALIDATED]
         sums = np.zeros((len(weights), len(blocks)))
-        fold_of = np.arange(len(blocks)) % _FOLDS
-        for fold in range(_FOLDS):
-            training_rows = rows * (fold_of != fold)
-            training_gram = np.average(grams, axis=0, weights=training_rows)
-            fits = self.solve(training_gram, weights, starts)
-            for i in np.flatnonzero(fold_of == fold).tolist():
-                sums[:, i] = self.mean_squares(grams[i], fits) * rows[i]
+        folds = [range(fold, len(blocks), _FOLDS) for fold in range(_FOLDS)]
+        work = sum(factor.R.size for block in blocks for factor in block)
+        grams = np.array(in_threads(lambda fold: self._gram_of_blocks([blocks[i] for i in fold]), folds, work))
+        rows_of_fold = np.array([rows[fold].sum() for fold in folds])
+        for k, fold in enumerate(folds):
+            others = np.arange(_FOLDS) != k
+            samples = rows_of_fold[others].sum() / len(self.noise)
+            fits = self.solve(grams[others].sum(axis=0) / samples, weights, starts)
+            for i in fold:
+                sums[:, i] = self.squared_residuals(blocks[i], fits)
         return sums, rows
 
     def path(
@@ -381,7 +402,7 @@ class _Tracker:
     def _point(self, weight: float, x: Array, validation: float) -> PathPoint:
         """The figures of the fit x with a weight, and its mean squared error on what was left out."""
         z = self.problem.S @ x
-        v = np.append(z, -1.0)
+        v = np.append(x, -1.0)
         quadratic = float(v @ self._prior_gram @ v)
         log_dets = sum(term.value(z) for term in self.problem.log_dets)
         parameters = self.problem.theta(z)
@@ -394,6 +415,21 @@ class _Tracker:
             total_mass=float(masses.sum()),
             distance=quadratic + log_dets,
         )
+
+
+def _homogeneous(M: Array) -> sparse.csr_array:
+    """The matrix of [x; −1] to [M x; −1]."""
+    return sparse.csr_array(block_diag(M, np.ones((1, 1))))
+
+
+def _transformed(gram: Array, M: sparse.csr_array) -> Array:
+    """Mᵀ gram M of a symmetric Gram matrix."""
+    return np.asarray(M.T @ (M.T @ gram).T)
+
+
+def _with_minus_ones(x: Array) -> Array:
+    """Rows [x; −1], shape (W, m) to (W, m + 1)."""
+    return np.column_stack([x, np.full(len(x), -1.0)])
 
 
 def _gram_of_problem(problem: Problem) -> Array:

@@ -18,8 +18,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from idtool.common.arrays import Array
+from idtool.common.threads import in_threads
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
@@ -33,7 +35,8 @@ from idtool.estimation.uncertainty.standard_errors import (
 FEWEST_CLUSTERS = 16  # fewer say nothing of their own scatter
 _LEAST_OUTSIDE = 0.05  # least share of a direction's information that is taken to lie outside a cluster
 _DRAWS = 400
-_DRAWS_AT_ONCE = 25  # each takes as much memory as G of a cluster
+_SHARES = 4  # of the draws, which threads can take
+_DRAWS_AT_ONCE = 10  # each takes as much memory as G of a cluster
 _LONGER = 2.0  # than what makes the variance most accurate: intervals that are too short are worse than rough ones
 _INDEPENDENT_SERIES = 10  # directions, at most, that are as good as so many independent series
 _LEAST_VARIANCE = 0.1  # share of the variance that correlation may leave of what scores add up to
@@ -178,17 +181,18 @@ def _block_sums(
     model: LinearModel, parts: Iterable[tuple[Reduction, Reduction]], noise: Array, theta: Array, observable: Array
 ) -> tuple[Array, Array]:
     """G and s of every block at an estimate."""
-    r = observable.shape[1]
-    G, s = [], []
-    for fitted, full in parts:
-        block_G = np.zeros((r, r))
-        block_s = np.zeros(r)
-        for own, factor, columns, sigma in zip(fitted, full, model.active(), noise, strict=True):
-            A = own.R[:, :-1] @ observable[columns] / sigma
-            block_G += A.T @ A
-            block_s += A.T @ (factor.R @ np.append(theta[columns], -1.0)) / sigma
-        G.append(block_G)
-        s.append(block_s)
+    by_joint = [observable[columns] / sigma for columns, sigma in zip(model.active(), noise, strict=True)]
+    minus_one = [np.append(theta[columns], -1.0) / sigma for columns, sigma in zip(model.active(), noise, strict=True)]
+
+    def sums_of(part: tuple[Reduction, Reduction]) -> tuple[Array, Array]:
+        fitted, full = part
+        A = np.concatenate([factor.R[:, :-1] @ each for factor, each in zip(fitted, by_joint, strict=True)])
+        residual = np.concatenate([factor.R @ each for factor, each in zip(full, minus_one, strict=True)])
+        return A.T @ A, A.T @ residual
+
+    parts = list(parts)
+    work = sum(factor.R.size for fitted, _ in parts for factor in fitted)
+    G, s = zip(*in_threads(sums_of, parts, work), strict=True)
     return np.array(G), np.array(s)
 
 
@@ -226,18 +230,32 @@ def _lagged_product(s: Array, lag: int) -> float:
 
 def _cr2_scores(G: Array, s: Array) -> Array:
     """Scores as large as those of the true residual, which the estimate makes smaller: CR2's (1 − G)^(−1/2) s."""
-    values, vectors = np.linalg.eigh(G)
-    rotated = np.einsum("bij,bi->bj", vectors, s) / np.sqrt(np.maximum(1 - values, _LEAST_OUTSIDE))
-    return np.asarray(np.einsum("bij,bj->bi", vectors, rotated))
+
+    def score_of(cluster: tuple[Array, Array]) -> Array:
+        G, s = cluster
+        values, vectors = np.linalg.eigh(G)
+        rotated = vectors.T @ s / np.sqrt(np.maximum(1 - values, _LEAST_OUTSIDE))
+        return np.asarray(vectors @ rotated)
+
+    return np.array(in_threads(score_of, list(zip(G, s, strict=True)), G.size))
 
 
 def _bootstrap_covariance(G: Array, s: Array, soft: Array, rng: np.random.Generator) -> Array:
     """Covariance of the estimate when every cluster's weight is drawn from the exponential distribution."""
     weights = rng.exponential(size=(_DRAWS, len(s)))
     flat = G.reshape(len(s), -1)
-    squares = np.zeros_like(soft)
-    for w in np.split(weights, _DRAWS // _DRAWS_AT_ONCE):
-        H = (w @ flat).reshape(len(w), *soft.shape) + soft
-        y = np.linalg.solve(H, (w @ s)[..., None])[..., 0]
-        squares += y.T @ y
-    return squares / _DRAWS
+
+    def estimates(weights: Array) -> Array:
+        H = np.empty((_DRAWS_AT_ONCE, *soft.shape))  # always the same memory: new memory takes longer than the product
+        y = np.empty((len(weights), len(soft)))
+        for first in range(0, len(weights), _DRAWS_AT_ONCE):
+            w = weights[first : first + _DRAWS_AT_ONCE]
+            np.matmul(w, flat, out=H.reshape(len(w), -1))
+            H += soft
+            for i, (information, score) in enumerate(zip(H, w @ s, strict=True), start=first):
+                y[i] = cho_solve(cho_factor(information, overwrite_a=True, check_finite=False), score)
+        return y
+
+    shares = np.split(weights, _SHARES)
+    y = np.concatenate(in_threads(estimates, shares, _DRAWS * soft.size))
+    return np.asarray(y.T @ y / _DRAWS)

@@ -7,6 +7,7 @@ unobservable u, such that the information of all rows on y, in units of the join
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import stdtrit
@@ -81,12 +82,12 @@ class Uncertainty:
     covariance_y: Array
     cluster_information: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
-    @property
+    @cached_property
     def standard_error(self) -> Array:
         """Shape (p,), SI; infinite where the data do not determine the coefficient."""
         return np.where(self.identifiable, self._errors(self.directions.observable), np.inf)
 
-    @property
+    @cached_property
     def covariance(self) -> Array:
         """Covariance of theta, shape (p, p), SI; infinite on the diagonal where the data do not determine it."""
         observable = self.directions.observable
