@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import warnings
@@ -123,7 +124,7 @@ class Background(Generic[Result]):
         """
         if self._process is not None:
             with suppress(Exception):  # it failed, or its result cannot be read
-                return cast("Result", self._receiver.recv())
+                return cast("Result", _receive(self._receiver))
         return self._evaluate(progress)
 
     def __enter__(self) -> Background[Result]:
@@ -144,9 +145,28 @@ def _evaluate_and_send(evaluate: Callable[[Progress], Result], sender: Connectio
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all processes, and the first one ends the others
     _end_with_parent(first_process)
     try:
-        sender.send(evaluate(_no_progress))
+        _send(sender, evaluate(_no_progress))
     except BaseException:  # the first process finds the same
         os._exit(1)
+
+
+def _send(sender: Connection, result: object) -> None:
+    """Send a result, its arrays from where they are: a pickle of them would take their memory once more (PEP 574)."""
+    arrays: list[pickle.PickleBuffer] = []
+    rest = pickle.dumps(result, protocol=5, buffer_callback=arrays.append)
+    contents = [array.raw() for array in arrays]
+    sender.send((rest, [content.nbytes for content in contents]))
+    for content in contents:
+        sender.send_bytes(content)
+
+
+def _receive(receiver: Connection) -> object:
+    """The result that a copy sends."""
+    rest, sizes = receiver.recv()
+    arrays = [bytearray(size) for size in sizes]
+    for array in arrays:
+        receiver.recv_bytes_into(array)
+    return pickle.loads(rest, buffers=arrays)
 
 
 def _end_with_parent(parent: int) -> None:

@@ -677,9 +677,8 @@ def _filtered_columns(effect: Effect, motion: Motion, batch: Batch) -> Sequence[
     """Filtered columns of an effect along a true motion, per joint; kept ones where there are."""
 
     def evaluate() -> list[Array]:
-        filtered = []
-        for columns in effect_columns(effect, motion):
-            filtered.append(batch.filter(columns) if len(columns) else np.empty((0, len(batch.t))))
+        filtered = [np.empty((len(active), len(batch.t))) for active in effect.active]
+        effect.filtered_columns(motion, batch.filter, filtered)
         return filtered
 
     kept = kept_columns_of(effect, motion)

@@ -8,7 +8,7 @@ of length 1 stands for all samples.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -103,18 +103,26 @@ def body_motions(model: RobotModel, q: Array, v: Array, a: Array) -> list[BodyMo
 
 def body_jacobians(model: RobotModel, motions: Sequence[BodyMotion]) -> list[BodyJacobian]:
     """The Jacobian of every body, along the motions that `body_motions` gives."""
+    return list(iterate_jacobians(model, motions))
+
+
+def iterate_jacobians(model: RobotModel, motions: Sequence[BodyMotion]) -> Iterator[BodyJacobian]:
+    """The Jacobian of one body after the other; those that no later body is mounted on are not kept in memory."""
     no_columns = np.zeros((3, 0, 1))
-    base = BodyJacobian(no_columns, no_columns, np.zeros(0, dtype=np.intp))
-    jacobians: list[BodyJacobian] = []
-    for body, motion, support in zip(model.bodies, motions, model.support(), strict=True):
+    jacobians = {-1: BodyJacobian(no_columns, no_columns, np.zeros(0, dtype=np.intp))}
+    last_child = {body.mount.body: i for i, body in enumerate(model.bodies)}
+    for i, (body, motion, support) in enumerate(zip(model.bodies, motions, model.support(), strict=True)):
         coordinates = np.flatnonzero(support)
         if body.is_base:
             identity = np.eye(6)[:, :, None]
-            jacobians.append(BodyJacobian(identity[3:], identity[:3], coordinates))
-            continue
-        parent = base if body.mount.body < 0 else jacobians[body.mount.body]
-        jacobians.append(_moved_jacobian(body, motion, parent, coordinates))
-    return jacobians
+            jacobian = BodyJacobian(identity[3:], identity[:3], coordinates)
+        else:
+            jacobian = _moved_jacobian(body, motion, jacobians[body.mount.body], coordinates)
+        if last_child.get(body.mount.body) == i:
+            del jacobians[body.mount.body]
+        if i in last_child:
+            jacobians[i] = jacobian
+        yield jacobian
 
 
 def _base_motion(model: RobotModel, ground: BodyMotion, v: Array, a: Array) -> BodyMotion:
@@ -204,8 +212,15 @@ def _moved_jacobian(body: Body, motion: BodyMotion, parent: BodyJacobian, coordi
     samples = max(motion.R.shape[-1], motion.p.shape[-1])
     S_w, S_v = np.zeros((2, 3, len(coordinates), samples))
     parent_columns = np.searchsorted(coordinates, parent.coordinates)
-    S_w[:, parent_columns] = rotate(motion.R, parent.S_w)
-    S_v[:, parent_columns] = rotate(motion.R, parent.S_v + cross(parent.S_w, motion.p[:, None]))
+    at_origin = cross(parent.S_w, motion.p[:, None])
+    at_origin = at_origin + parent.S_v
+    if np.array_equal(parent_columns, np.arange(len(parent_columns))):  # of a chain: nothing needs to be copied
+        inherited = slice(len(parent_columns))
+        np.einsum("ij...,j...->i...", motion.R, parent.S_w, out=S_w[:, inherited])
+        np.einsum("ij...,j...->i...", motion.R, at_origin, out=S_v[:, inherited])
+    else:
+        S_w[:, parent_columns] = rotate(motion.R, parent.S_w)
+        S_v[:, parent_columns] = rotate(motion.R, at_origin)
     own_columns = body.axis[:, None, None] * body.ratios[coordinates, None]
     if body.first_free_coordinate is not None:
         first = int(np.searchsorted(coordinates, body.first_free_coordinate))

@@ -100,6 +100,24 @@ class Effect(ABC):
             Per joint, the array to write to, shape (len(active[joint]), N).
         """
 
+    def filtered_columns(self, motion: Motion, low_pass: Callable[[Array], Array], out: Sequence[Array]) -> None:
+        """Evaluate the active columns of every joint through a filter.
+
+        Parameters
+        ----------
+        motion
+            N samples.
+        low_pass
+            Filter of columns, shape (..., N) to (..., n).
+        out
+            Per joint, the array to write to, shape (len(active[joint]), n).
+        """
+        columns = [np.empty((len(active), len(motion.t))) for active in self.active]
+        self.columns(motion, columns)
+        for filtered, unfiltered in zip(out, columns, strict=True):
+            if len(unfiltered):
+                filtered[:] = low_pass(unfiltered)
+
     @abstractmethod
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
         """Add the effect to a forward model.

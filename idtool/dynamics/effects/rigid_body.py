@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 
 import numpy as np
 from typing_extensions import override
@@ -15,9 +15,10 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Body
 from idtool.robot.inertia import LENGTH_POWERS, PARAMETER_NAMES, PARAMETER_UNITS, PI_SIZE, mass_com_inertia, skew
 from idtool.robot.inverse_dynamics import inverse_dynamics
-from idtool.robot.kinematics import BodyJacobian, BodyMotion, body_jacobians, body_motions, cross
+from idtool.robot.kinematics import BodyMotion, body_motions, cross, iterate_jacobians
 from idtool.robot.model import RobotModel
 
+_BUFFER = 1 << 18  # numbers, 2 MiB: what fits in a processor's cache
 _MIN_MASS_SHARE = 0.1  # of the bodies' median mass
 
 
@@ -58,20 +59,43 @@ class RigidBodies(Effect):
 
     @override
     def columns(self, motion: Motion, out: Sequence[Array]) -> None:
+        for i, coordinates, columns in self._columns_by_body(motion):
+            self._write(i, coordinates, columns, out)
+
+    @override
+    def filtered_columns(self, motion: Motion, low_pass: Callable[[Array], Array], out: Sequence[Array]) -> None:
+        for i, coordinates, columns in self._columns_by_body(motion):
+            self._write(i, coordinates, low_pass(columns), out)
+
+    def _write(self, i: int, coordinates: Indices, columns: Array, out: Sequence[Array]) -> None:
+        """Write the columns of body i, shape (k, 10, N), to those of the k joints that move it."""
+        for joint, own in zip(coordinates, columns, strict=True):
+            first = PI_SIZE * self._position[i, joint]
+            out[joint][first : first + PI_SIZE] = own
+
+    def _columns_by_body(self, motion: Motion) -> Iterator[tuple[int, Indices, Array]]:
+        """Every body with the k joints that move it and its columns in their equations, shape (k, 10, N).
+
+        The array is overwritten by the next body's columns: memory of all of them together would be many times a
+        processor's cache.
+        """
         motions = body_motions(self.model, motion.q, motion.v, motion.a)
-        jacobians = body_jacobians(self.model, motions)
-        for i, (body_motion, jacobian) in enumerate(zip(motions, jacobians, strict=True)):
+        at_once = max(_BUFFER // (PI_SIZE * len(motion.t)), 1)
+        buffer = np.empty((at_once, PI_SIZE, len(motion.t)))
+        for i, jacobian in enumerate(iterate_jacobians(self.model, motions)):
+            body, body_motion = self.model.bodies[i], motions[i]
             D = _inertia_torque(body_motion)
-            body = self.model.bodies[i]
-            for k, joint in enumerate(jacobian.coordinates):
-                first = PI_SIZE * self._position[i, joint]
-                rows = out[joint][first : first + PI_SIZE]
-                parent = body.mount.body
-                moves_parent = parent >= 0 and self._support[parent, joint]
-                if moves_parent or body.first_free_coordinate is not None:
-                    _write_columns(body_motion, jacobian, D, k, rows)
-                else:
-                    _write_own_axis_columns(body, body_motion, D, body.ratios[joint], rows)
+            parent = body.mount.body
+            for first in range(0, len(jacobian.coordinates), at_once):
+                joints = slice(first, first + at_once)
+                coordinates = jacobian.coordinates[joints]
+                columns = buffer[: len(coordinates)]
+                _write_columns(body_motion, jacobian.S_w[:, joints], jacobian.S_v[:, joints], D, columns)
+                for joint, own in zip(coordinates, columns, strict=True):
+                    moves_parent = parent >= 0 and self._support[parent, joint]
+                    if not (moves_parent or body.first_free_coordinate is not None):
+                        _write_own_axis_columns(body, body_motion, D, body.ratios[joint], own)
+                yield i, coordinates, columns
 
     def torque(self, theta: Array, motion: Motion) -> Array:
         """Columns times coefficients, shape (nv, N) [N·m or N]; faster than by evaluating the columns.
@@ -92,7 +116,10 @@ class RigidBodies(Effect):
 
 
 def _write_own_axis_columns(body: Body, motion: BodyMotion, D: Array, ratio: float, out: Array) -> None:
-    """Write what `_write_columns` does, for a joint that moves the body along or about its own axis alone."""
+    """Write what `_write_columns` does, for a joint that moves the body along or about its own axis alone.
+
+    What is zero is exactly zero.
+    """
     axis = ratio * body.axis
     if body.prismatic:
         out[0] = axis @ motion.acc
@@ -104,17 +131,16 @@ def _write_own_axis_columns(body: Body, motion: BodyMotion, D: Array, ratio: flo
         out[4:] = np.tensordot(axis, D, axes=1)
 
 
-def _write_columns(motion: BodyMotion, jacobian: BodyJacobian, D: Array, k: int, out: Array) -> None:
-    """Write a body's ten columns in one joint's equation: the power of the body's wrench in that joint's motion.
+def _write_columns(motion: BodyMotion, S_w: Array, S_v: Array, D: Array, out: Array) -> None:
+    """Write a body's ten columns in k joints' equations: the power of the body's wrench in each joint's motion.
 
     With the body's wrench f = m acc + M h, n = h × acc + I alpha + w × I w (4), the power is S_v · f + S_w · n;
     collected by parameter.
     """
-    S_w, S_v = jacobian.S_w[:, k], jacobian.S_v[:, k]
-    np.einsum("in,in->n", S_v, motion.acc, out=out[0])
-    np.einsum("in,ijn->jn", S_v, motion.M, out=out[1:4])
-    out[1:4] += cross(motion.acc, S_w)
-    np.einsum("in,ijn->jn", S_w, D, out=out[4:])
+    np.einsum("ikn,in->kn", S_v, motion.acc, out=out[:, 0])
+    np.einsum("ikn,ijn->kjn", S_v, motion.M, out=out[:, 1:4])
+    out[:, 1:4] += cross(motion.acc[:, None], S_w).swapaxes(0, 1)
+    np.einsum("ikn,ijn->kjn", S_w, D, out=out[:, 4:])
 
 
 def _inertia_torque(motion: BodyMotion) -> Array:
