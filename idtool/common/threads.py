@@ -6,8 +6,11 @@ evaluates.
 
 from __future__ import annotations
 
+import ctypes
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import TypeVar
 
 from idtool.common.processes import process_count
@@ -15,6 +18,7 @@ from idtool.common.processes import process_count
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+_M_ARENA_MAX = -8  # mallopt(3): number of pools of memory, of which each thread has its own otherwise
 _LEAST_WORK = 1 << 20  # entries of all items together, for which threads are worth their start
 
 
@@ -33,5 +37,13 @@ def in_threads(evaluate: Callable[[Item], Result], items: Sequence[Item], work: 
     count = min(process_count(), len(items))
     if count < 2 or work < _LEAST_WORK:
         return [evaluate(item) for item in items]
+    _share_memory()
     with ThreadPoolExecutor(count) as pool:
         return list(pool.map(evaluate, items))
+
+
+def _share_memory() -> None:
+    """Let all threads have the memory that one of them freed: glibc keeps it for that thread otherwise."""
+    if sys.platform.startswith("linux"):
+        with suppress(AttributeError):  # another C library
+            ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.threads import in_threads
 from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import JointLog
 from idtool.data.logs.stored_arrays import release_pages
@@ -180,7 +181,8 @@ class Channels:
         """
         part = self.longest_stretch(self.stretches())
         q, v = self.signal("q", part), self.signal("v", part)
-        agreements = [velocity_agreement(x, y, self.log.dt) for x, y in zip(q, v, strict=True)]
+        pairs = list(zip(q, v, strict=True))
+        agreements = in_threads(lambda pair: velocity_agreement(*pair, self.log.dt), pairs, q.size)
         lag, gain, agreement, error = np.array(agreements).T
         follows = (agreement > _MIN_AGREEMENT) & (np.abs(gain - 1) < _MAX_GAIN_ERROR)
         max_error = np.maximum(_MAX_LAG_ERROR * self.log.dt, _MAX_LAG_ERROR * np.abs(lag))

@@ -135,6 +135,10 @@ class LinearModel:
     @property
     def coefficients(self) -> tuple[Coefficient, ...]:
         """The p unknowns."""
+        return self._coefficients
+
+    @cached_property
+    def _coefficients(self) -> tuple[Coefficient, ...]:
         return tuple(c for effect in self.effects for c in effect.coefficients)
 
     @property

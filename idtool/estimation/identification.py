@@ -13,7 +13,7 @@ from idtool.common.notice import Notice
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
-from idtool.estimation.dataset.weights import free_noise
+from idtool.estimation.dataset.weights import free_noise, weighted_rows
 from idtool.estimation.problem.backends import check_backend
 from idtool.estimation.problem.estimate import Estimate, estimate
 from idtool.estimation.problem.local import LOCAL
@@ -107,7 +107,8 @@ def estimate_from_logs(
         set_name = "full"  # the only one that a local solver knows
     sets, notices = choose_sets(experiment.model.bodies, set_name)
     noise = free_noise(experiment.equation, reduction, experiment.equalities)
-    experiment, path, prior_notices = _with_prior(experiment, data, reduction, sets, noise, progress)
+    rows = weighted_rows(experiment.equation, reduction, noise)
+    experiment, path, prior_notices = _with_prior(experiment, data, reduction, sets, noise, rows, progress)
     notices += prior_notices
     prior = experiment.model.bodies
     regularization = experiment.config.regularization
@@ -123,7 +124,7 @@ def estimate_from_logs(
         solver=config.solver.name,
         backend=config.solver.backend,
     )
-    solution = reestimate(reduction, noise=noise)
+    solution = reestimate(reduction, noise=noise, rows=rows)
     two_stage = None
     if method == "iv":
         two_stage = two_stage_estimate(experiment, sets, solution.theta, progress)
@@ -150,6 +151,7 @@ def _with_prior(
     reduction: Reduction,
     sets: Sequence[ConstraintSet],
     noise: Array,
+    rows: Array,
     progress: Progress,
 ) -> tuple[Experiment, RegularizationPath | None, list[Notice]]:
     """The experiment with its prior and the prior's weight as a number, the choice of that, and notices."""
@@ -168,7 +170,7 @@ def _with_prior(
         progress("choosing the prior's weight", 0.0)
         equation, bodies, equalities = experiment.equation, experiment.model.bodies, experiment.equalities
         try:
-            path = regularization_path(equation, bodies, data, sets, regularization, equalities, noise)
+            path = regularization_path(equation, bodies, data, sets, regularization, equalities, noise, rows)
             regularization = regularization.with_weight(path.weight)
         except SolverError:  # if it is infeasible, the fit itself says so, with the place in the configuration
             regularization = regularization.with_weight(assumed_weight(reduction))

@@ -139,7 +139,7 @@ def save_reduction(
         holdout=holdout,
         notices=tuple(notices),
         files=experiment.sources,
-        logs=reduce_logs(experiment, progress, places),
+        logs=reduce_logs(experiment, progress, places, divides_held_out=True),
     )
 
 

@@ -32,11 +32,14 @@ class Blocks:
         The reductions of its consecutive blocks, of about equal length; one that lies across a gap counts as one.
     seconds
         Length of a block [s].
+    merged
+        The reduction of the whole log, if it is known.
     """
 
     name: str
     parts: tuple[Reduction, ...]
     seconds: float
+    merged: Reduction | None = None
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -44,11 +47,11 @@ class Blocks:
     @cached_property
     def total(self) -> Reduction:
         """The reduction of the whole log."""
-        return merge_reductions(self.parts)
+        return self.merged or merge_reductions(self.parts)
 
     def map(self, change: Callable[[Reduction], Reduction]) -> Blocks:
         """Blocks with every reduction changed."""
-        return replace(self, parts=tuple(change(part) for part in self.parts))
+        return replace(self, parts=tuple(change(part) for part in self.parts), merged=None)
 
     def regrouped(self, count: int) -> Blocks:
         """Blocks that are ``count`` times as long; a rest of up to half of that joins the last."""

@@ -52,7 +52,7 @@ Progress = Callable[[str, float], None]  # stage, share of it that is done
 Rows = Batches[tuple[list[Array], Shares]]
 
 NOT_SIMULATED = ("floating_base_not_simulated", "contacts_not_simulated")  # notices for evaluations of models
-_BATCH_BYTES = 192 << 20  # of the bodies' unfiltered columns, which are not in memory all at once
+_BATCH_BYTES = 128 << 20  # of the bodies' unfiltered columns, which are not in memory all at once
 _BATCH_BYTES_WITH_CONTACTS = 64 << 20  # where they are
 _LARGEST = 1e12  # of a signal in SI: powers of what is larger are not finite
 _STANDING = {"prismatic": 0.005}  # m, that a joint may move and still count as standing

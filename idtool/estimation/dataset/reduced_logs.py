@@ -12,12 +12,20 @@ from idtool.common.arrays import Array
 from idtool.data.batches import Batches
 from idtool.data.signals import Batch
 from idtool.dynamics.row_filter import Shares
-from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merged_blocks, most_blocks
+from idtool.estimation.dataset.blocks import (
+    Blocks,
+    block_rows,
+    cut_into_blocks,
+    merge_reductions,
+    merged_blocks,
+    most_blocks,
+)
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.extreme_rows import ROWS_PER_BIN
 from idtool.estimation.dataset.passes import LogPart, read_through
 from idtool.estimation.dataset.reduced_part import ReducedPart
+from idtool.estimation.dataset.reduction import Reduction
 
 _DRAWN_BYTES = 16 << 20  # that the rows which curves are drawn from may take, of all logs
 _SERIES_BYTES = 8 << 20  # that consecutive rows may take, of all logs
@@ -95,7 +103,9 @@ def is_reducible(experiment: Experiment) -> bool:
     return is_linear and equation.contacts is None and not has_coefficients_of_logs and not is_diagnosis
 
 
-def reduce_logs(experiment: Experiment, progress: Progress, places: LogPlaces | None = None) -> tuple[ReducedLog, ...]:
+def reduce_logs(
+    experiment: Experiment, progress: Progress, places: LogPlaces | None = None, divides_held_out: bool = False
+) -> tuple[ReducedLog, ...]:
     """Reduce logs in one pass.
 
     Parameters
@@ -106,6 +116,8 @@ def reduce_logs(experiment: Experiment, progress: Progress, places: LogPlaces | 
         Callback for the stage and its progress, from 0 to 1.
     places
         Places of its logs among others; None: there are no others.
+    divides_held_out
+        If true, parts for validation are in blocks as well, so that they can be used for fitting.
     """
     equation = experiment.equation
     runs = experiment.runs
@@ -132,7 +144,8 @@ def reduce_logs(experiment: Experiment, progress: Progress, places: LogPlaces | 
                 keep_series = span.start in series_starts[part.log]
                 yield reduced.add_batch(equation, run.signals, batch, keep_series)
 
-        reduced.blocks = dict(cut_into_blocks(rows(), block_rows[i], run.signals.low_pass.redundancy, part.first_row))
+        length = block_rows[i] if divides_held_out or not held_out else batches[part.log].rows
+        reduced.blocks = dict(cut_into_blocks(rows(), length, run.signals.low_pass.redundancy, part.first_row))
         return reduced
 
     parts: dict[tuple[int, bool], ReducedPart] = {}
@@ -183,10 +196,15 @@ def training_blocks(experiment: Experiment, logs: Sequence[ReducedLog]) -> tuple
         factor = max(length // log.block_rows, 1)
         reductions = []
         for part in log.train:
-            for block in merged_blocks(part.blocks, factor):
-                reductions.append(tuple(joint_factor.without_last_column() for joint_factor in block))
-        blocks.append(Blocks(log.name, tuple(reductions), factor * log.block_rows * log.row_step))
+            reductions += [_without_last_column(block) for block in merged_blocks(part.blocks, factor)]
+        of_all_rows = merge_reductions([_without_last_column(part.counted) for part in log.train if part.blocks])
+        blocks.append(Blocks(log.name, tuple(reductions), factor * log.block_rows * log.row_step, of_all_rows))
     return experiment.checked_blocks(blocks)
+
+
+def _without_last_column(reduction: Reduction) -> Reduction:
+    """The reduction to [Y_j, tau_j] of one to [Y_j, tau_j, above_j]."""
+    return tuple(factor.without_last_column() for factor in reduction)
 
 
 def _block_rows(experiment: Experiment, logs: int) -> list[int]:

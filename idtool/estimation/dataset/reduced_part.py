@@ -8,6 +8,7 @@ decimation would fold into the band.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from idtool.estimation.dataset.blocks import merge_reductions
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.extreme_rows import ExtremeRows
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
+
+_SERIES_BYTES = 16 << 20  # of the rows of a batch that are kept as a series
 
 
 @dataclass
@@ -81,15 +84,21 @@ class ReducedPart:
             squares_above_band=np.zeros(nv),
         )
 
+    @cached_property
+    def counted(self) -> Reduction:
+        """R-factors of [Y_j, tau_j, above_j] of the rows that count; of the blocks when it is first asked for."""
+        return merge_reductions(list(self.blocks.values()))
+
     @property
     def comparison(self) -> Reduction:
         """R-factors of [Y_j, tau_j, above_j] of all rows."""
-        return merge_reductions([self.excluded, *self.blocks.values()])
+        return merge_reductions([self.excluded, self.counted] if self.blocks else [self.excluded])
 
     def merge(self, other: ReducedPart) -> None:
         """Merge the next batches of the same part of the log into this one, in place."""
         for number, block in other.blocks.items():
             self.blocks[number] = merge(self.blocks[number], block) if number in self.blocks else block
+        self.__dict__.pop("counted", None)
         self.excluded = merge(self.excluded, other.excluded)
         self.posture.merge(other.posture)
         self.extremes.merge(other.extremes)
@@ -150,7 +159,12 @@ class ReducedPart:
             prior_residual = tau - prior[active] @ Y
             self.extremes.add(joint, bins, drawn, (measured[joint], prior_residual))
         if keep_series:
-            self.series.append([np.concatenate([own, tau[None]]) for own, tau in zip(columns, measured, strict=True)])
+            row_bytes = 8 * sum(len(own) + 1 for own in columns)
+            first_rows = slice(_SERIES_BYTES // row_bytes)
+            series = []
+            for own, tau in zip(columns, measured, strict=True):
+                series.append(np.concatenate([own[:, first_rows], tau[None, first_rows]]))
+            self.series.append(series)
 
         rows = [np.concatenate([own, torque[None]]) for own, torque in zip(columns, above, strict=True)]
         excluded = []

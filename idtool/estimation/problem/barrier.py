@@ -14,7 +14,6 @@ Letters: m variables x; P (m, m), q (m,); B inequalities of one form, of K varia
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,7 +41,7 @@ class _Group:
     Attributes
     ----------
     variables
-        Indices of their variables, shape (B, K); no two rows share one.
+        Indices of their variables, shape (B, K); only a slack variable is in several rows.
     G
         Shape (B, K, n, n), or (B, K, n) where they are on vectors.
     least
@@ -87,11 +86,13 @@ class _Group:
         X = self.value(x)
         return float((X if X.ndim == 2 else np.linalg.eigvalsh(X)).min())
 
-    def relaxed(self, slack: int) -> Iterator[_Group]:
-        """The inequalities one by one, X_i + s · 1 ⪰ 0, with a slack variable s of index ``slack``; of weight 1."""
+    def relaxed(self, slack: int) -> _Group:
+        """The inequalities X_i + s · 1 ⪰ 0 with a slack variable s of index ``slack``; of weight 1."""
         one = np.eye(self.G.shape[-1]) if self.G.ndim == 4 else np.ones(self.G.shape[-1])
-        for variables, G, least in zip(self.variables, self.G, self.least, strict=True):
-            yield _Group(np.append(variables, slack)[None], np.concatenate([G, one[None]])[None], least[None])
+        count = len(self.G)
+        variables = np.column_stack([self.variables, np.full(count, slack)])
+        ones = np.broadcast_to(one, (count, 1, *one.shape))
+        return _Group(variables, np.concatenate([self.G, ones], axis=1), self.least)
 
 
 class Barrier:
@@ -183,9 +184,7 @@ class Barrier:
         if self._is_inside(x):
             return x
         inequalities = self._groups + self._log_dets
-        relaxed: list[_Group] = []
-        for group in inequalities:
-            relaxed += group.relaxed(slack=m)
+        relaxed = [group.relaxed(slack=m) for group in inequalities]
         P_relaxed = np.zeros((m + 1, m + 1))
         P_relaxed[:m, :m] = P
         N_relaxed = None if self._N is None else block_diag(self._N, np.ones((1, 1)))
@@ -284,8 +283,9 @@ def _derivatives(groups: list[_Group], P: Array, q: Array, x: Array) -> tuple[Ar
     H = P.copy()
     for group in groups:
         slope, curvature = group.derivatives(x)
-        gradient[group.variables] += slope
-        H[group.variables[:, :, None], group.variables[:, None, :]] += curvature
+        np.add.at(gradient, group.variables, slope)
+        places = group.variables[:, :, None] * len(x) + group.variables[:, None, :]
+        np.add.at(H.reshape(-1), places.ravel(), curvature.ravel())
     return gradient, H
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from idtool.common.arrays import Array
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.common.names import join_names
 from idtool.estimation.problem.prior import LogDet
@@ -60,15 +60,17 @@ class _ConeRows:
     """Blocks of rows A v + s = b with their cones."""
 
     width: int
-    A: list[Array] = field(default_factory=list)
+    places: list[Indices] = field(default_factory=list)  # row and column of every entry of A, shape (2, k)
+    entries: list[Array] = field(default_factory=list)
     b: list[Array] = field(default_factory=list)
     cones: list[Any] = field(default_factory=list)
 
     def add(self, columns: slice, M: Array, b: Array, cone: Any) -> int:
         """Rows M on some columns of v; returns their place among the blocks."""
-        rows = np.zeros((len(b), self.width))
-        rows[:, columns] = M
-        self.A.append(rows)
+        row, column = np.nonzero(M)
+        first_row = sum(map(len, self.b))
+        self.places.append(np.array([first_row + row, (columns.start or 0) + column]))
+        self.entries.append(M[row, column])
         self.b.append(b)
         self.cones.append(cone)
         return len(self.b) - 1
@@ -264,7 +266,9 @@ def _run(P: Any, q: Array, rows: _ConeRows, settings: Mapping[str, Any]) -> Any:
     options.max_threads = 1  # a copy of this process has none of the solver's threads, and would wait for them forever
     for name, value in settings.items():
         setattr(options, name, value)
-    A, b = sparse.csc_matrix(np.concatenate(rows.A)), np.concatenate(rows.b)
+    b = np.concatenate(rows.b)
+    entries, places = np.concatenate(rows.entries), np.concatenate(rows.places, axis=1)
+    A = sparse.csc_matrix((entries, places), shape=(len(b), rows.width))
     if not (np.isfinite(A.data).all() and np.isfinite(b).all()):
         raise SolverError("solver", "was given numbers that are not finite; check units and magnitudes")
     try:

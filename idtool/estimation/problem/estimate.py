@@ -77,6 +77,7 @@ def estimate(
     solver: str = "clarabel",
     noise: Array | None = None,
     backend: str | None = None,
+    rows: Array | None = None,
 ) -> Estimate:
     """Estimate the coefficients, the joints weighted by their residual noise.
 
@@ -100,6 +101,8 @@ def estimate(
         The joints' residual noise, shape (nv,) [N·m or N]; default: that of a fit without constraints.
     backend
         The solver that cvxpy takes; default: Clarabel.
+    rows
+        The `weighted_rows`, if they are known.
 
     Raises
     ------
@@ -108,7 +111,7 @@ def estimate(
     """
     equalities = equalities or EqualityConstraints.none(len(model.coefficients))
     noise = free_noise(model, reduction, equalities) if noise is None else noise
-    problem = build_problem(model, bodies, reduction, sets, regularization, noise, equalities)
+    problem = build_problem(model, bodies, reduction, sets, regularization, noise, equalities, rows)
     if solver == "clarabel":
         x, certificate = _solve_with_fallback(problem)
     elif solver == "cvxpy":

@@ -24,6 +24,7 @@ from scipy import sparse
 from scipy.linalg import block_diag
 
 from idtool.common.arrays import Array
+from idtool.common.processes import Progress, no_progress, shared_among_processes
 from idtool.common.threads import in_threads
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
@@ -48,6 +49,8 @@ _GAP = 1e-4  # of the cost, by which a point of the path may miss its minimum
 _LEAST_COST = 1e-4  # below which that is no smaller
 _ROUNDING = 1e-12  # of the torque's square: what is less of the residual's says nothing
 _ASSUMED_ERROR = 0.3  # relative standard error of the prior's inertias where logs are too short to ask
+
+_FEWEST_SHARED = 200  # variables of a problem whose folds are worth a copy of this process
 
 _REASONS = {
     "validation": "a larger weight would increase the error on held-out blocks of time by more than one standard error",
@@ -130,6 +133,7 @@ def regularization_path(
     regularization: Regularization,
     equalities: EqualityConstraints,
     noise: Array,
+    rows: Array | None = None,
 ) -> RegularizationPath:
     """Fit with every weight of the path, and choose the largest that the data do not object to.
 
@@ -149,6 +153,8 @@ def regularization_path(
         The equality constraints.
     noise
         The joints' residual noise, shape (nv,) [N·m or N].
+    rows
+        The `weighted_rows` of all data, if they are known.
 
     Raises
     ------
@@ -156,7 +162,8 @@ def regularization_path(
         If nothing fulfils the sets and exact constraints.
     """
     total = merge_reductions([log.total for log in data])
-    tracker = _Tracker(model, bodies, total, sets, regularization, equalities, noise)
+    rows = weighted_rows(model, total, noise) if rows is None else rows
+    tracker = _Tracker(model, bodies, total, sets, regularization, equalities, noise, rows)
     fits = tracker.solve(tracker.data_gram, WEIGHTS)
     groups = _blocks(data)
     blocks = [block for group in groups for block in group]
@@ -300,9 +307,8 @@ class _Tracker:
         regularization: Regularization,
         equalities: EqualityConstraints,
         noise: Array,
+        rows: Array,
     ) -> None:
-        rows = weighted_rows(model, total, noise)
-
         def problem_with(weight: float) -> Problem:
             weighted = regularization.with_weight(weight)
             return build_problem(model, bodies, total, sets, weighted, noise, equalities, rows)
@@ -378,12 +384,19 @@ class _Tracker:
         work = sum(factor.R.size for block in blocks for factor in block)
         grams = np.array(in_threads(lambda fold: self._gram_of_blocks([blocks[i] for i in fold]), folds, work))
         rows_of_fold = np.array([rows[fold].sum() for fold in folds])
-        for k, fold in enumerate(folds):
+
+        def fits_without(k: int, progress: Progress) -> Array:
             others = np.arange(_FOLDS) != k
             samples = rows_of_fold[others].sum() / len(self.noise)
-            fits = self.solve(grams[others].sum(axis=0) / samples, weights, starts)
+            return self.solve(grams[others].sum(axis=0) / samples, weights, starts)
+
+        if self.problem.variables < _FEWEST_SHARED:
+            fits = [fits_without(k, no_progress) for k in range(_FOLDS)]
+        else:
+            fits = shared_among_processes(fits_without, range(_FOLDS), no_progress)
+        for fold, fit in zip(folds, fits, strict=True):
             for i in fold:
-                sums[:, i] = self.squared_residuals(blocks[i], fits)
+                sums[:, i] = self.squared_residuals(blocks[i], fit)
         return sums, rows
 
     def path(

@@ -37,6 +37,7 @@ _LEAST_OUTSIDE = 0.05  # least share of a direction's information that is taken 
 _DRAWS = 400
 _SHARES = 4  # of the draws, which threads can take
 _DRAWS_AT_ONCE = 10  # each takes as much memory as G of a cluster
+_ROWS_AT_ONCE = 1000  # of a block, of whose joints the sums are taken
 _LONGER = 2.0  # than what makes the variance most accurate: intervals that are too short are worse than rough ones
 _INDEPENDENT_SERIES = 10  # directions, at most, that are as good as so many independent series
 _LEAST_VARIANCE = 0.1  # share of the variance that correlation may leave of what scores add up to
@@ -141,8 +142,8 @@ def cluster_robust_estimate(
     most = max(sum(map(len, data)) // FEWEST_CLUSTERS, 1)
     wanted = blocks_per_cluster or _blocks_per_cluster(scores)
     count = min(wanted, most)
-    G = np.concatenate([_consecutive_sums(G, count) for G, _ in block_sums])
-    s = np.concatenate([_consecutive_sums(s, count) for s in scores])
+    G = _joined([_consecutive_sums(G, count) for G, _ in block_sums])
+    s = _joined([_consecutive_sums(s, count) for s in scores])
 
     estimate = ClusterRobustEstimate(
         theta=best,
@@ -184,22 +185,40 @@ def _block_sums(
     by_joint = [observable[columns] / sigma for columns, sigma in zip(model.active(), noise, strict=True)]
     minus_one = [np.append(theta[columns], -1.0) / sigma for columns, sigma in zip(model.active(), noise, strict=True)]
 
-    def sums_of(part: tuple[Reduction, Reduction]) -> tuple[Array, Array]:
-        fitted, full = part
-        A = np.concatenate([factor.R[:, :-1] @ each for factor, each in zip(fitted, by_joint, strict=True)])
-        residual = np.concatenate([factor.R @ each for factor, each in zip(full, minus_one, strict=True)])
-        return A.T @ A, A.T @ residual
-
     parts = list(parts)
+    r = observable.shape[1]
+    G, s = np.zeros((len(parts), r, r)), np.zeros((len(parts), r))
+
+    def add_up(i: int) -> None:
+        fitted, full = parts[i]
+        joints = range(len(fitted))
+        rows: list[Array] = []
+        residuals: list[Array] = []
+        for j in joints:
+            rows.append(fitted[j].R[:, :-1] @ by_joint[j])
+            residuals.append(full[j].R @ minus_one[j])
+            if sum(map(len, rows)) >= _ROWS_AT_ONCE or j == joints[-1]:
+                A = np.concatenate(rows)
+                G[i] += A.T @ A
+                s[i] += A.T @ np.concatenate(residuals)
+                rows, residuals = [], []
+
     work = sum(factor.R.size for fitted, _ in parts for factor in fitted)
-    G, s = zip(*in_threads(sums_of, parts, work), strict=True)
-    return np.array(G), np.array(s)
+    in_threads(add_up, range(len(parts)), work)
+    return G, s
 
 
 def _consecutive_sums(x: Array, count: int) -> Array:
     """Sums over so many consecutive entries; a rest of up to half of that joins the last."""
+    if count == 1:
+        return x
     starts = np.arange(0, max(len(x) - count // 2, 1), count)
     return np.asarray(np.add.reduceat(x, starts, axis=0))
+
+
+def _joined(arrays: Sequence[Array]) -> Array:
+    """Arrays one after the other; of one, no copy is made."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 def _blocks_per_cluster(scores: Sequence[Array]) -> int:
