@@ -6,19 +6,16 @@ evaluates.
 
 from __future__ import annotations
 
-import ctypes
-import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from typing import TypeVar
 
+from idtool.common.memory import share_freed_memory
 from idtool.common.processes import process_count
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_M_ARENA_MAX = -8  # mallopt(3): number of pools of memory, of which each thread has its own otherwise
 _LEAST_WORK = 1 << 20  # entries of all items together, for which threads are worth their start
 
 
@@ -37,13 +34,6 @@ def in_threads(evaluate: Callable[[Item], Result], items: Sequence[Item], work: 
     count = min(process_count(), len(items))
     if count < 2 or work < _LEAST_WORK:
         return [evaluate(item) for item in items]
-    _share_memory()
+    share_freed_memory()
     with ThreadPoolExecutor(count) as pool:
         return list(pool.map(evaluate, items))
-
-
-def _share_memory() -> None:
-    """Let all threads have the memory that one of them freed: glibc keeps it for that thread otherwise."""
-    if sys.platform.startswith("linux"):
-        with suppress(AttributeError):  # another C library
-            ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)

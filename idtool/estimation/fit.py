@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
+from idtool.common.memory import release_freed_memory
 from idtool.common.notice import Notice
 from idtool.dynamics.effects import ParameterValue, effect_from_entry
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
@@ -253,7 +254,8 @@ class _Clock:
         self._started = time.perf_counter()
 
     def stop(self, stage: str) -> None:
-        """Note the time of a stage that ends now; the next one begins."""
+        """Note the time of a stage that ends now, and return the memory that it freed; the next one begins."""
+        release_freed_memory()
         now = time.perf_counter()
         self.seconds[stage] = now - self._started
         self._started = now

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from idtool.common.arrays import Array
+from idtool.common.memory import release_freed_memory
 from idtool.common.threads import in_threads
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
@@ -37,7 +38,7 @@ _LEAST_OUTSIDE = 0.05  # least share of a direction's information that is taken 
 _DRAWS = 400
 _SHARES = 4  # of the draws, which threads can take
 _DRAWS_AT_ONCE = 10  # each takes as much memory as G of a cluster
-_ROWS_AT_ONCE = 1000  # of a block, of whose joints the sums are taken
+_JOINTS_AT_ONCE = 4  # whose directions are in memory
 _LONGER = 2.0  # than what makes the variance most accurate: intervals that are too short are worse than rough ones
 _INDEPENDENT_SERIES = 10  # directions, at most, that are as good as so many independent series
 _LEAST_VARIANCE = 0.1  # share of the variance that correlation may leave of what scores add up to
@@ -129,6 +130,7 @@ def cluster_robust_estimate(
     observable = directions.observable
     spectral_covariance = np.eye(len(directions.singular_values)) / directions.independent_per_row
     spectral = Uncertainty(directions, identifiable(directions, equalities), spectral_covariance)
+    release_freed_memory()  # of a decomposition, before that of all clusters' information is taken
 
     soft = equalities.soft_rows() / np.sqrt(directions.independent_per_row)
     soft_in_y = soft[:, :-1] @ observable
@@ -182,29 +184,29 @@ def _block_sums(
     model: LinearModel, parts: Iterable[tuple[Reduction, Reduction]], noise: Array, theta: Array, observable: Array
 ) -> tuple[Array, Array]:
     """G and s of every block at an estimate."""
-    by_joint = [observable[columns] / sigma for columns, sigma in zip(model.active(), noise, strict=True)]
-    minus_one = [np.append(theta[columns], -1.0) / sigma for columns, sigma in zip(model.active(), noise, strict=True)]
-
     parts = list(parts)
+    joints = list(zip(model.active(), noise, strict=True))
     r = observable.shape[1]
     G, s = np.zeros((len(parts), r, r)), np.zeros((len(parts), r))
-
-    def add_up(i: int) -> None:
-        fitted, full = parts[i]
-        joints = range(len(fitted))
-        rows: list[Array] = []
-        residuals: list[Array] = []
-        for j in joints:
-            rows.append(fitted[j].R[:, :-1] @ by_joint[j])
-            residuals.append(full[j].R @ minus_one[j])
-            if sum(map(len, rows)) >= _ROWS_AT_ONCE or j == joints[-1]:
-                A = np.concatenate(rows)
-                G[i] += A.T @ A
-                s[i] += A.T @ np.concatenate(residuals)
-                rows, residuals = [], []
-
     work = sum(factor.R.size for fitted, _ in parts for factor in fitted)
-    in_threads(add_up, range(len(parts)), work)
+    for first in range(0, len(joints), _JOINTS_AT_ONCE):
+        chosen = slice(first, first + _JOINTS_AT_ONCE)
+        directions = [observable[columns] / sigma for columns, sigma in joints[chosen]]
+        coefficients = [np.append(theta[columns], -1.0) / sigma for columns, sigma in joints[chosen]]
+
+        def add_up(
+            i: int,
+            chosen: slice = chosen,
+            directions: list[Array] = directions,
+            coefficients: list[Array] = coefficients,
+        ) -> None:
+            fitted, full = (reduction[chosen] for reduction in parts[i])
+            A = np.concatenate([own.R[:, :-1] @ each for own, each in zip(fitted, directions, strict=True)])
+            residual = np.concatenate([factor.R @ each for factor, each in zip(full, coefficients, strict=True)])
+            G[i] += A.T @ A
+            s[i] += A.T @ residual
+
+        in_threads(add_up, range(len(parts)), work)
     return G, s
 
 
