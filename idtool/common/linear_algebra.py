@@ -82,8 +82,8 @@ def least_squares(matrix: Array, right: Array, rcond: float) -> tuple[Array, int
         return np.asarray(robust_solution), int(robust_rank)
 
 
-def triangle_with_rows(R: Array, rows: Array) -> Array:
-    """Triangular factor of a triangle's and further rows together.
+def add_to_triangle(R: Array, rows: Array) -> None:
+    """Change a triangular factor to that of further rows as well.
 
     It takes a third of the operations of a QR decomposition of all rows if the further ones are a triangle too, and
     even less if their first columns are zero: LAPACK's tpqrt, as in Golub & Van Loan, Matrix Computations, 6.5.
@@ -91,26 +91,19 @@ def triangle_with_rows(R: Array, rows: Array) -> Array:
     Parameters
     ----------
     R
-        Upper triangle, shape (m, m).
+        Upper triangle, shape (m, m); changed in place.
     rows
-        Shape (k, m).
-
-    Returns
-    -------
-    Shape (m, m).
+        Shape (k, m). It is fastest if both are in the order of Fortran.
     """
-    is_nonzero = rows != 0
-    leading = np.where(is_nonzero.any(axis=1), is_nonzero.argmax(axis=1), rows.shape[1])  # column of each row
-    first = int(leading.min(initial=rows.shape[1]))
-    if first == rows.shape[1]:
-        return R
+    is_involved = rows.any(axis=0)
+    if not is_involved.any():
+        return
+    first = int(is_involved.argmax())
     further = rows[:, first:]
     count, width = further.shape
-    is_triangle = count <= width and bool((leading - first >= np.arange(count)).all())
+    is_triangle = count <= width and not np.tril(further[:, :count], -1).any()
     block = min(_TRIANGLE_BLOCK, width)
-    updated = R.copy()
-    updated[first:, first:] = lapack.dtpqrt(count if is_triangle else 0, block, R[first:, first:], further)[0]
-    return updated
+    R[first:, first:] = lapack.dtpqrt(count if is_triangle else 0, block, R[first:, first:], further)[0]
 
 
 def null_space(matrix: ArrayLike) -> Array:

@@ -52,8 +52,7 @@ Progress = Callable[[str, float], None]  # stage, share of it that is done
 Rows = Batches[tuple[list[Array], Shares]]
 
 NOT_SIMULATED = ("floating_base_not_simulated", "contacts_not_simulated")  # notices for evaluations of models
-_BATCH_BYTES = 128 << 20  # of the bodies' unfiltered columns, which are not in memory all at once
-_BATCH_BYTES_WITH_CONTACTS = 64 << 20  # where they are
+_BATCH_BYTES = 64 << 20  # that columns may take
 _LARGEST = 1e12  # of a signal in SI: powers of what is larger are not finite
 _STANDING = {"prismatic": 0.005}  # m, that a joint may move and still count as standing
 _STANDING_ANGLE = 0.02  # rad, of any other joint
@@ -534,18 +533,17 @@ def signals_of(log: JointLog, model: RobotModel, config: Config, recording: str 
         wrench_channels,
         contact_channels,
         recording,
-        batch_samples=_batch_samples(model, bool(config.contacts)),
+        batch_samples=_batch_samples(model),
     )
     if base_sensors is not None:
         signals.notices += imu_findings(log)
     return signals
 
 
-def _batch_samples(model: RobotModel, has_contacts: bool) -> int:
+def _batch_samples(model: RobotModel) -> int:
     """Number of samples in a batch, so that the columns of all bodies along it fit in memory."""
     columns = PI_SIZE * int(model.support().sum())
-    most = _BATCH_BYTES_WITH_CONTACTS if has_contacts else _BATCH_BYTES
-    return min(BATCH_SAMPLES, most // (8 * columns))
+    return min(BATCH_SAMPLES, _BATCH_BYTES // (8 * columns))
 
 
 def _check_detected_contacts(model: RobotModel, config: Config) -> None:

@@ -22,8 +22,6 @@ from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.extreme_rows import ExtremeRows
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
 
-_SERIES_BYTES = 16 << 20  # of the rows of a batch that are kept as a series
-
 
 @dataclass
 class ReducedPart:
@@ -159,12 +157,7 @@ class ReducedPart:
             prior_residual = tau - prior[active] @ Y
             self.extremes.add(joint, bins, drawn, (measured[joint], prior_residual))
         if keep_series:
-            row_bytes = 8 * sum(len(own) + 1 for own in columns)
-            first_rows = slice(_SERIES_BYTES // row_bytes)
-            series = []
-            for own, tau in zip(columns, measured, strict=True):
-                series.append(np.concatenate([own[:, first_rows], tau[None, first_rows]]))
-            self.series.append(series)
+            self.series.append([np.concatenate([own, tau[None]]) for own, tau in zip(columns, measured, strict=True)])
 
         rows = [np.concatenate([own, torque[None]]) for own, torque in zip(columns, above, strict=True)]
         excluded = []

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.common.linear_algebra import least_squares, triangle_with_rows
+from idtool.common.linear_algebra import add_to_triangle, least_squares
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Factor, Reduction
@@ -34,17 +34,17 @@ def weighted_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Arr
     p = len(model.coefficients)
 
     def expanded(factor: Factor, columns: Indices, sigma: float) -> Array:
-        rows = np.zeros((len(factor.R), p + 1))
+        rows = np.zeros((len(factor.R), p + 1), order="F")
         rows[:, [*columns, p]] = factor.R / (sigma * np.sqrt(samples))
         return rows
 
     joints = list(zip(reduction, model.active(), noise.tolist(), strict=True))
     if sum(len(factor.R) for factor in reduction) <= _MOST_ROWS * (p + 1):
         return np.concatenate([expanded(*joint) for joint in joints])
-    R = np.zeros((p + 1, p + 1))
+    R = np.zeros((p + 1, p + 1), order="F")
     for joint in reversed(joints):  # towards the tip of a chain there are fewer columns
-        R = triangle_with_rows(R, expanded(*joint))
-    return R
+        add_to_triangle(R, expanded(*joint))
+    return np.ascontiguousarray(R)
 
 
 def _noise_floor(factor: Factor) -> float:
