@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from idtool.common.linear_algebra import least_squares, null_space, right_singular_vectors, svd
+from idtool.common.linear_algebra import add_to_triangle, least_squares, null_space, right_singular_vectors, svd
 
 
 @pytest.mark.parametrize("shape", [(7, 4), (4, 7), (5, 5)])
@@ -74,3 +74,29 @@ def test_the_null_space_of_nothing_is_the_whole_space(rows: int) -> None:
 
 def test_where_everything_is_fixed_the_null_space_is_empty() -> None:
     assert null_space(np.diag([1.0, 1e-6])).shape == (2, 0)
+
+
+@pytest.mark.parametrize("zeros", [0, 3])
+@pytest.mark.parametrize("count", [1, 4, 6, 40])
+@pytest.mark.parametrize("is_triangle", [False, True])
+def test_a_triangle_takes_up_further_rows(rng: np.random.Generator, zeros: int, count: int, is_triangle: bool) -> None:
+    """The Gram matrix tells a triangular factor from any other, but for signs."""
+    R = np.triu(rng.normal(size=(9, 9)))
+    rows = rng.normal(size=(count, 9))
+    rows[:, :zeros] = 0
+    if is_triangle:
+        rows[:, zeros:] = np.triu(rows[:, zeros:])
+    gram = R.T @ R + rows.T @ rows
+    before = rows.copy()
+    add_to_triangle(R, rows)
+    np.testing.assert_allclose(R.T @ R, gram, atol=1e-12)
+    np.testing.assert_array_equal(R, np.triu(R))
+    np.testing.assert_array_equal(rows, before)
+
+
+def test_rows_of_zeros_leave_a_triangle_as_it_is(rng: np.random.Generator) -> None:
+    R = np.triu(rng.normal(size=(5, 5)))
+    before = R.copy()
+    add_to_triangle(R, np.zeros((3, 5)))
+    add_to_triangle(R, np.zeros((0, 5)))
+    np.testing.assert_array_equal(R, before)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from idtool.common import processes
@@ -48,6 +49,21 @@ def test_only_the_first_item_is_evaluated_here_if_there_are_cores(cores: int) ->
 
     here = os.getpid()
     assert in_processes(where, ["first", "second"], silent) == [True, cores == 1]
+
+
+def test_arrays_of_a_copy_arrive_and_can_be_changed(cores: int) -> None:
+    """They are sent beside what is pickled, in any order of memory; empty ones and parts of others too."""
+    table = np.arange(12.0).reshape(3, 4)
+    arrays = [table, table.T, table[:, 1:], np.zeros((0, 5)), np.array([True, False]), np.array(3.0)]
+
+    def twice(item: int, progress: Progress) -> dict[str, list[np.ndarray[Any, Any]]]:
+        return {"arrays": [array.copy("K") for array in arrays]}
+
+    for result in in_processes(twice, range(2), silent):
+        for array, expected in zip(result["arrays"], arrays, strict=True):
+            np.testing.assert_array_equal(array, expected)
+            array += array
+            assert array.dtype == expected.dtype
 
 
 def test_a_copy_shows_no_progress(cores: int) -> None:

@@ -12,7 +12,7 @@ from reference import Reference
 from robots import actuated, leg_urdf, random_rotors, random_urdf
 
 from idtool.data.signals import Batch, LowPass, Motion
-from idtool.dynamics.effects import Coefficient, Effect, RigidBodies, build_effects
+from idtool.dynamics.effects import Coefficient, Effect, RigidBodies, build_effects, rigid_body
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import parse_config
@@ -267,3 +267,27 @@ def test_what_any_effect_cannot_know_is_left_out(build: Callable[..., RobotModel
     whole = batch.filter(linear.columns(batch.motion)[0])
     kept = {tuple(column) for column in abad.T}
     assert kept.isdisjoint({tuple(column) for column in whole[:, ~clear].T})
+
+
+@pytest.mark.parametrize("buffer", [1, 1 << 18])
+@pytest.mark.parametrize("seed", range(4))
+def test_filtered_columns_are_the_columns_filtered(
+    robot_of: ReadRobot, monkeypatch: pytest.MonkeyPatch, seed: int, buffer: int
+) -> None:
+    """Body by body, and of each a few joints at once or all."""
+    monkeypatch.setattr(rigid_body, "_BUFFER", buffer)
+    rng = np.random.default_rng(seed)
+    robot = robot_of(random_urdf(rng, size=6))
+    config = parse_config({"rotors": random_rotors(rng, robot)}, "")
+    bodies = RigidBodies(build_model(robot, config, actuated(robot)))
+    motion = random_motion(rng, len(bodies.active), count=9)
+
+    def low_pass(x: Array) -> Array:
+        return x[..., ::2] + x[..., :1]
+
+    unfiltered = [np.full((len(active), 9), np.nan) for active in bodies.active]
+    bodies.columns(motion, unfiltered)
+    filtered = [np.full((len(active), 5), np.nan) for active in bodies.active]
+    bodies.filtered_columns(motion, low_pass, filtered)
+    for own, expected in zip(filtered, unfiltered, strict=True):
+        np.testing.assert_array_equal(own, low_pass(expected))

@@ -65,6 +65,20 @@ def test_errors_are_those_of_all_samples(
         assert evaluation.independent_samples == pytest.approx(exact.independent_samples, rel=1e-2)
 
 
+def test_held_out_parts_need_no_blocks(
+    experiment: Experiment, reduced: Sequence[ReducedLog], models: dict[str, Array]
+) -> None:
+    divided = reduce_logs(experiment, silent, divides_held_out=True)
+    assert [len(log.held_out[0].blocks) for log in reduced] == [1, 1]
+    assert all(len(log.held_out[0].blocks) > 10 for log in divided)
+    joints = experiment.equation.joints
+    for held_out in (False, True):
+        whole = evaluate_reduced(experiment.equation, reduced, models, held_out)
+        of_blocks = evaluate_reduced(experiment.equation, divided, models, held_out)
+        for name in models:
+            assert whole.errors[name].rms(joints) == pytest.approx(of_blocks.errors[name].rms(joints), rel=1e-11)
+
+
 def test_training_data_are_those_of_the_fit(experiment: Experiment, reduced: Sequence[ReducedLog]) -> None:
     blocks = experiment.blocks(experiment.rows, silent)
     for log, own in zip(blocks, training_blocks(experiment, reduced), strict=True):

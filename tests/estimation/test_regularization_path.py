@@ -16,11 +16,13 @@ from robots import random_urdf
 from synthetic import Synthetic, bounds, synthetic
 
 import idtool
+from idtool.common import processes
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.identification import choose_sets
+from idtool.estimation.problem import regularization_path as path_module
 from idtool.estimation.problem.estimate import estimate
 from idtool.estimation.problem.prior_bodies import hull_centre_and_covariance, placeholder_reasons
 from idtool.estimation.problem.regularization_path import (
@@ -91,6 +93,13 @@ def test_a_body_and_its_copy_count_both(robot_of: Callable[[str], Robot], kind: 
     copied = {"mirror": [{"body": "link2", "of": "link1"}], **bounds(rng, read)}
     arm = synthetic(rng, read, 20 * ROWS, copied)
     test_every_point_of_the_path_is_the_solvers_optimum(arm, kind)
+
+
+def test_folds_are_the_same_in_copies_of_the_process(arm: Synthetic, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "process_count", lambda: 2)
+    own = path_of(arm, arm.noisy(0.1))
+    monkeypatch.setattr(path_module, "_FEWEST_SHARED", 0)
+    assert path_of(arm, arm.noisy(0.1)) == own
 
 
 def test_errors_grow_and_distances_shrink_with_the_weight(arm: Synthetic) -> None:
