@@ -343,7 +343,7 @@ class LinearizedModel:
 
 def effect_columns(effect: Effect, motion: Motion) -> list[Array]:
     """Columns of an effect along a true motion of N samples, by joint, shape (coefficients of the joint, N)."""
-    columns = [np.empty((len(active), len(motion.t))) for active in effect.active]
+    columns = effect.empty_columns(len(motion.t))
     effect.columns(motion, columns)
     return columns
 

@@ -264,8 +264,9 @@ class LinearModel:
         tau = batch.filter(self._torque_of_unknowns(true))
         parts: list[list[Array]] = [[] for _ in self.joints]
         for effect in filter(self._has_filtered_columns, self.effects):
-            for part, columns in zip(parts, _filtered_columns(effect, true, batch), strict=True):
-                part.append(columns)
+            columns = _filtered_columns(effect, true, batch)
+            for joint in effect.active_joints:
+                parts[joint].append(columns[joint])
         return [np.concatenate([*part, row[None]]) for part, row in zip(parts, tau, strict=True)]
 
     def _projected_columns(self, row_filter: RowFilter) -> list[Array]:
@@ -681,7 +682,7 @@ def _filtered_columns(effect: Effect, motion: Motion, batch: Batch) -> Sequence[
     """Filtered columns of an effect along a true motion, per joint; kept ones where there are."""
 
     def evaluate() -> list[Array]:
-        filtered = [np.empty((len(active), len(batch.t))) for active in effect.active]
+        filtered = effect.empty_columns(len(batch.t))
         effect.filtered_columns(motion, batch.filter, filtered)
         return filtered
 

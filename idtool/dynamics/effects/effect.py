@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -112,11 +113,22 @@ class Effect(ABC):
         out
             Per joint, the array to write to, shape (len(active[joint]), n).
         """
-        columns = [np.empty((len(active), len(motion.t))) for active in self.active]
+        columns = self.empty_columns(len(motion.t))
         self.columns(motion, columns)
-        for filtered, unfiltered in zip(out, columns, strict=True):
-            if len(unfiltered):
-                filtered[:] = low_pass(unfiltered)
+        for joint in self.active_joints:
+            out[joint][:] = low_pass(columns[joint])
+
+    def empty_columns(self, count: int) -> list[Array]:
+        """Arrays for the active columns of every joint, shape (len(active[joint]), count); not set to any value."""
+        columns = [np.empty((0, count))] * len(self.active)
+        for joint in self.active_joints:
+            columns[joint] = np.empty((len(self.active[joint]), count))
+        return columns
+
+    @cached_property
+    def active_joints(self) -> tuple[int, ...]:
+        """Joints in whose equations any of the coefficients appears."""
+        return tuple(joint for joint, active in enumerate(self.active) if len(active))
 
     @abstractmethod
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
