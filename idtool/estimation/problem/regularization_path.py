@@ -10,8 +10,11 @@ Every weight is tried on blocks of time that were not fitted. The data object to
 They never object to the weight with the least error on what was left out.
 
 All of it runs on R-factors: no log is read again. Each point is the minimiser of a barrier, tracked from the last one.
+Gram matrices are of all data and of each fold, on [x; −1]: with rows [Y, tau] and theta = T x, they are
+[T 0; 0 1]ᵀ [Y, tau]ᵀ [Y, tau] [T 0; 0 1]. They square the condition number, which moves the weight by as little as the
+path's own accuracy; errors on what was left out are those of the rows themselves, and the fit does not use them.
 
-Letters as in `problem`; W weights; F folds; B blocks of time; G (p' + 1, p' + 1) the Gram matrix of [A, b].
+Letters as in `problem`; W weights; F folds; B blocks of time.
 """
 
 from __future__ import annotations
@@ -321,6 +324,7 @@ class _Tracker:
         self.data_gram = _transformed(rows.T @ rows, self._theta_of_x)
         gram_without_prior = _transformed(_gram_of_problem(without_prior), self._z_of_x)
         self._constraint_gram = gram_without_prior - self.data_gram  # of measured constraints and the anchor
+        # At the weight 1:
         self._prior_gram = _transformed(_gram_of_problem(self.problem), self._z_of_x) - gram_without_prior
         gap = _GAP * max(without_prior.constant, _LEAST_COST)
         prior = model.prior[equalities.free] / self.problem.scale
@@ -352,7 +356,7 @@ class _Tracker:
 
     def mean_squares(self, gram: Array, x: Array) -> Array:
         """Mean squared residuals in units of the noise, of several x, shape (W, m) to (W,)."""
-        v = _with_minus_ones(x)  # [A, b] v is the residual
+        v = _with_minus_ones(x)
         squares = ((v @ gram) * v).sum(axis=1)
         return self._above_rounding(squares, gram[-1, -1]) / len(self.noise)
 
