@@ -135,8 +135,8 @@ def _prepare(
     readable = [record for log in logs if (record := _readable(log, model, failures))]
     readable_validation = [record for log in validate if (record := _readable(log, model, failures))]
     while True:
-        if failures and not (readable if logs else readable_validation):
-            raise failures[0]
+        if failures and (bool(logs) > bool(readable) or bool(validate) > bool(readable_validation)):
+            raise LogError(failures[0].where, f"{failures[0].what}; no other log can be used")
         try:
             experiment = prepare(model.robot, model.settings, readable, readable_validation, holdout, transform)
         except LogError as error:  # a log that can be read, but not used
@@ -220,9 +220,9 @@ def _in_order(
     for log in given:
         if _reduction_path(log) is not None:
             ordered.append(remaining_files.pop(0))
-        elif remaining_logs and str(remaining_logs[0][0]) == str(log.path if isinstance(log, Log) else log):
+        elif remaining_logs and remaining_logs[0][0] == (log.path if isinstance(log, Log) else log_path(log)):
             ordered.append(remaining_logs.pop(0))
-    return ordered
+    return [*ordered, *remaining_logs]
 
 
 def _log_file(log: LogSource) -> Path:

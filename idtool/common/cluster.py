@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import logging
 import re
 import signal
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 from idtool.common.exceptions import ConfigError
+from idtool.common.input_files import read_error_text
+from idtool.common.names import printable
+from idtool.common.processes import Progress, no_progress
 from idtool.common.version import VERSION
 
 Item = TypeVar("Item")
@@ -19,6 +24,7 @@ Result = TypeVar("Result")
 
 _OPTION = "--cluster"
 _LOCAL = re.compile(r"local:(\d{1,4})")
+_ADDRESS = re.compile(r"((tcp|tls|ws|wss|ucx)://)?[^:/]+:\d{1,5}|((tcp|tls|ws|wss|ucx)://)\[[0-9a-fA-F:]+\]:\d{1,5}")
 _SECONDS_TO_CONNECT = 10
 _SECONDS_TO_FIRST_WORKER = 120
 _RETRIES = 2  # of an evaluation that raises an error
@@ -26,7 +32,7 @@ _TASKS_PER_THREAD = 3  # that are given out at once: each holds its item in memo
 
 
 class Cluster:
-    """A cluster.
+    """Connection to a Dask scheduler, whose workers evaluate functions.
 
     Parameters
     ----------
@@ -69,24 +75,26 @@ class Cluster:
         remaining = iter(enumerate(items))
         numbers: dict[str, int] = {}
 
-        def submit(count: int) -> list[Any]:
+        def submit_more() -> list[Any]:
+            """Give out as many items as all workers, also new ones, can soon take."""
             futures = []
+            count = max(_TASKS_PER_THREAD * max(self.threads, 1) - len(numbers), 0)
             for _, (number, item) in zip(range(count), remaining, strict=False):
-                future = self._client.submit(function, item, retries=_RETRIES, pure=False)
+                future = self._client.submit(_evaluate, function, item, retries=_RETRIES, pure=False)
                 numbers[future.key] = number
                 futures.append(future)
             return futures
 
-        pending = as_completed(submit(_TASKS_PER_THREAD * max(self.threads, 1)), loop=self._client.loop)
+        pending = as_completed(submit_more(), loop=self._client.loop)
         for future in pending:
             number = numbers.pop(future.key)
             yield number, _outcome(future)
             del future  # so that the cluster forgets the result
-            pending.update(submit(1))
+            pending.update(submit_more())
 
 
 @contextmanager
-def open_cluster(address: str) -> Iterator[Cluster]:
+def open_cluster(address: str, progress: Progress = no_progress) -> Iterator[Cluster]:
     """Connect to a cluster, or start one on this machine, which ends with the context.
 
     Parameters
@@ -94,35 +102,60 @@ def open_cluster(address: str) -> Iterator[Cluster]:
     address
         ``local:N`` for N processes on this machine; or a scheduler's address, as ``tcp://host:8786``, or the JSON file
         that it wrote (``--scheduler-file``).
+    progress
+        Callback for the stage and its progress, from 0 to 1.
 
     Raises
     ------
     ConfigError
-        If the packages are not installed, there is no such cluster, or its workers cannot be used.
+        If the packages are not installed, there is no such cluster, or it has no workers.
     """
     try:
         from distributed import Client
     except ImportError:
         what = "needs Dask, which is not installed; run pip install 'idtool[cluster]'"
         raise ConfigError(_OPTION, what) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what users must know is in results
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what users must know is in results
     with ExitStack() as stack:
-        local = _LOCAL.fullmatch(address)
-        try:
-            if local:
-                client = stack.enter_context(_local_client(int(local[1])))
-            else:
-                where = {"address": address}
-                if address.endswith(".json"):
-                    Path(address).read_bytes()  # Dask would wait for a file that is not there
-                    where = {"scheduler_file": address}
-                client = stack.enter_context(Client(timeout=_SECONDS_TO_CONNECT, set_as_default=False, **where))
-        except (OSError, ValueError, TypeError) as error:
-            reason = str(error) or type(error).__name__
-            advice = "start dask scheduler and dask worker, or give local:N for N processes on this machine"
-            raise ConfigError(_OPTION, f"no cluster at {address} ({reason}); {advice}") from None
+        progress("connecting to the cluster", 0.0)
+        if address.startswith("local"):
+            client = stack.enter_context(_local_client(_local_count(address)))
+        else:
+            where = _checked_address(address)
+            try:
+                client = stack.enter_context(Client(where, timeout=_SECONDS_TO_CONNECT, set_as_default=False))
+            except (OSError, ValueError) as error:
+                reason = str(error) or type(error).__name__
+                advice = "start dask scheduler and dask worker, or give local:N for N processes on this machine"
+                raise ConfigError(_OPTION, f"no cluster at {where} ({reason}); {advice}") from None
+        progress("waiting for workers of the cluster", 0.0)
         _check_workers(client, address)
         yield Cluster(client)
+
+
+def _local_count(address: str) -> int:
+    """Number of processes of a cluster on this machine."""
+    match = _LOCAL.fullmatch(address)
+    if match is None or int(match[1]) == 0:
+        raise ConfigError(_OPTION, f"{printable(address)} is not local:N, with N processes on this machine")
+    return int(match[1])
+
+
+def _checked_address(address: str) -> str:
+    """Address of a scheduler, as given or from its file."""
+    if address.endswith(".json"):
+        try:
+            found = json.loads(Path(address).read_bytes())["address"]
+        except OSError as error:
+            raise ConfigError(_OPTION, f"{address} {read_error_text(Path(address), error)}") from None
+        except (ValueError, KeyError, TypeError):
+            raise ConfigError(_OPTION, f"{address} is not the file of a scheduler: it has no address") from None
+        address = str(found)
+    if not _ADDRESS.fullmatch(address):
+        what = f"{printable(address)} is not the address of a scheduler"
+        raise ConfigError(_OPTION, f"{what}; give tcp://HOST:PORT, its JSON file, or local:N")
+    return address
 
 
 @contextmanager
@@ -130,8 +163,6 @@ def _local_client(count: int) -> Iterator[Any]:
     """Client of a cluster of some processes on this machine."""
     from distributed import Client, LocalCluster
 
-    if not count:
-        raise ConfigError(_OPTION, "local:0 has no process; give local:N with N of at least 1")
     options = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": logging.CRITICAL}
     with LocalCluster(**options) as cluster, Client(cluster, set_as_default=False) as client:
         client.register_plugin(_without_interrupt())
@@ -150,33 +181,41 @@ def _without_interrupt() -> Any:
 
 
 def _check_workers(client: Any, address: str) -> None:
-    """Refuse a cluster without workers, or whose workers have another version of this package."""
+    """Refuse a cluster without workers."""
     try:
         client.wait_for_workers(1, timeout=_SECONDS_TO_FIRST_WORKER)
     except (OSError, TimeoutError):
         advice = f"start some with dask worker {address}"
         raise ConfigError(_OPTION, f"the cluster at {address} has no workers; {advice}") from None
-    try:
-        versions = client.run(_version)
-    except Exception as error:  # whatever a worker's Python says
-        what = f"a worker cannot use idtool ({type(error).__name__}: {error})"
-        raise ConfigError(_OPTION, f"{what}; install idtool {VERSION} where the workers run") from None
-    for worker, version in versions.items():
-        if version != VERSION:
-            what = f"the worker {worker} has idtool {version}, this is {VERSION}"
-            raise ConfigError(_OPTION, f"{what}; install the same version")
 
 
-def _version() -> str:
-    """Version of this package on a worker."""
-    return VERSION
+def _evaluate(function: Callable[[Item], Result], item: Item) -> tuple[str, Result]:
+    """Result of a function on a worker, with the version of this package there."""
+    return VERSION, function(item)
 
 
 def _outcome(future: Any) -> Any:
-    """Result of an evaluation that has ended, or its error."""
+    """Result of an evaluation that has ended, or its error.
+
+    Raises
+    ------
+    ConfigError
+        If the scheduler is gone, or the worker has no or another version of this package.
+    """
     from distributed import KilledWorker
 
-    error = future.exception()
+    try:
+        error = future.exception()
+    except CancelledError:
+        what = "the connection to the scheduler was lost"
+        raise ConfigError(_OPTION, f"{what}; run the command again, which uses what is written") from None
     if isinstance(error, KilledWorker):
         return RuntimeError("its worker ended several times; perhaps it had too little memory")
-    return future.result() if error is None else error
+    if isinstance(error, ImportError):
+        raise ConfigError(_OPTION, f"a worker cannot use idtool ({error}); install idtool {VERSION} there")
+    if error is not None:
+        return error
+    version, result = future.result()
+    if version != VERSION:
+        raise ConfigError(_OPTION, f"a worker has idtool {version}, this is {VERSION}; install the same version")
+    return result

@@ -40,6 +40,10 @@ class LogError(IdtoolError):
     """A log that cannot be read or contains too little data."""
 
 
+class TransferError(LogError):
+    """A file behind a URL that cannot be read; another try may succeed."""
+
+
 class ModelError(IdtoolError):
     """A URDF that is invalid, or that is not consistent with the configuration."""
 

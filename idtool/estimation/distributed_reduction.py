@@ -10,28 +10,45 @@ import hashlib
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from glob import escape
 from pathlib import Path
 from typing import Any
 
 from idtool.common.cluster import Cluster
-from idtool.common.exceptions import ConfigError, IdtoolError, LogError
+from idtool.common.exceptions import ConfigError, IdtoolError, LogError, TransferError
 from idtool.common.input_files import REDUCTION_SUFFIX
-from idtool.common.names import join_names
+from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
 from idtool.common.outputs import write_all
-from idtool.common.processes import limit_processes
+from idtool.common.processes import limit_processes, no_progress
 from idtool.common.urls import version_of
 from idtool.common.version import VERSION
+from idtool.estimation.dataset.blocks import rounded_count
 from idtool.estimation.dataset.experiment import Progress, left_out_notice, prepare
-from idtool.estimation.dataset.reduced_logs import LogPlaces
 from idtool.estimation.reduced_experiment import save_reduction
 from idtool.estimation.saved_reduction import SavedReduction, read_reduction, reduction_bytes
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
 
-_WITHOUT_EFFECT: dict[str, Any] = {"bounding_ellipsoids": {}, "bounding_shapes": {}}  # on rows; they may need meshes
+_BOUNDS: dict[str, Any] = {"bounding_ellipsoids": {}, "bounding_shapes": {}}  # which may need meshes
+_NOT_IN_ROWS = {  # keys of the configuration that a reduction does not depend on
+    *_BOUNDS,
+    *(
+        "known_com",
+        "constraints",
+        "regularization",
+        "known",
+        "mirror",
+        "solver",
+        "simulation",
+        "limits",
+        "pool",
+        "seed",
+    ),
+}
+_MAX_KEPT = 3  # reductions of a log, of different settings
 _LONGEST_NAME = 80  # characters of a log's name in that of its reduction
-_MOST_NAMED = 3  # logs in a message
+_MAX_NAMED = 3  # logs in a message
 
 
 @dataclass(frozen=True)
@@ -48,32 +65,43 @@ class LogTask:
         The log.
     holdout
         Share at its end that is kept for validation; 1: all of it.
-    places
-        Its place among all logs.
+    log_count
+        Number of logs that are used together, rounded up to a power of two.
     """
 
     robot: Robot
     config: Config
     path: Path
     holdout: float
-    places: LogPlaces
+    log_count: int
 
     @property
-    def file_name(self) -> str:
-        """Name of the file with its reduction, which is another one for another log or other settings."""
+    def file_name(self) -> str | None:
+        """Name of the file with its reduction, which differs for other settings; None if the log's version is unknown.
+
+        It begins with that of all reductions of the log.
+        """
+        version = version_of(self.path)
+        if version is None:
+            return None
         settings = {
             "idtool": VERSION,
             "urdf": hashlib.sha256(self.robot.text).hexdigest(),
-            "config": self.config.model_dump(mode="json"),
-            "version": version_of(self.path),
+            "config": self.config.model_dump(mode="json", exclude=_NOT_IN_ROWS),
+            "version": version,
             "holdout": self.holdout,
-            "places": [self.places.first, self.places.total],
+            "logs": self.log_count,
         }
-        return f"{self.path.stem[:_LONGEST_NAME]}.{_digest(str(self.path))}.{_digest(json.dumps(settings))}"
+        return f"{self.log_name}.{_digest(json.dumps(settings))}{REDUCTION_SUFFIX}"
+
+    @property
+    def log_name(self) -> str:
+        """Name of the log in that of the file, different for logs of the same name in different folders."""
+        return f"{self.path.stem[:_LONGEST_NAME]}.{_digest(str(self.path))}"
 
 
 @dataclass(frozen=True)
-class ReducedFleet:
+class ReducedLogs:
     """Logs that were reduced one by one.
 
     Attributes
@@ -89,15 +117,24 @@ class ReducedFleet:
     notices: tuple[Notice, ...]
 
 
-def reduce_log(task: LogTask) -> bytes:
-    """Reduce a log, on a worker; the content of the file with its reduction.
+def reduce_log(task: LogTask) -> bytes | IdtoolError:
+    """Reduce a log, on a worker: the content of the file with its reduction, or the error of a log that cannot be used.
 
     Raises
     ------
-    IdtoolError
-        If the log cannot be read, or what its rows are depends on all logs together.
+    TransferError
+        If the log is behind a URL and cannot be read; Dask then tries again.
     """
     limit_processes(1)  # each process of a cluster has its own core
+    try:
+        return _reduced(task)
+    except TransferError:
+        raise
+    except IdtoolError as error:
+        return error
+
+
+def _reduced(task: LogTask) -> bytes:
     is_validated = task.holdout == 1
     logs, validate = ([], [task.path]) if is_validated else ([task.path], [])
     experiment = prepare(task.robot, task.config, logs, validate, 0.0 if is_validated else task.holdout)
@@ -105,7 +142,7 @@ def reduce_log(task: LogTask) -> bytes:
     if experiment.has_commands and controller is not None and controller.known_delay is None:
         what = "is not fitted on a cluster, since it is that of all logs together"
         raise ConfigError("controller.delay", f"{what}; fit one log without --cluster, and give its delay in s")
-    return reduction_bytes(save_reduction(experiment, task.holdout, lambda stage, share: None, task.places))
+    return reduction_bytes(save_reduction(experiment, task.holdout, no_progress, task.log_count))
 
 
 def reduce_on_cluster(
@@ -118,7 +155,7 @@ def reduce_on_cluster(
     folder: Path,
     skip_bad: bool,
     progress: Progress,
-) -> ReducedFleet:
+) -> ReducedLogs:
     """Reduce logs on a cluster.
 
     Parameters
@@ -143,25 +180,33 @@ def reduce_on_cluster(
     IdtoolError
         If a log, the configuration or the model cannot be used, or a file cannot be written.
     """
-    config = config.model_copy(update=_WITHOUT_EFFECT)
-    total = len(logs) + len(validate)
-    shares = [0.0 if validate else holdout] * len(logs) + [1.0] * len(validate)
+    config = config.model_copy(update=_BOUNDS)
+    holdouts = [0.0 if validate else holdout] * len(logs) + [1.0] * len(validate)
+    log_count = rounded_count(len(holdouts))
     tasks = []
-    for i, (path, share) in enumerate(zip((*logs, *validate), shares, strict=True)):
-        tasks.append(LogTask(robot, config, path, share, LogPlaces(i, total)))
+    for path, own_holdout in zip((*logs, *validate), holdouts, strict=True):
+        tasks.append(LogTask(robot, config, path, own_holdout, log_count))
     reductions, failures = _reductions(cluster, dict(enumerate(tasks)), folder, progress)
-    _check_failures(failures, skip_bad and bool(reductions))
+
+    def check() -> None:
+        """Raise if a log cannot be used and is not to be skipped, or if none is left for the fit or validation."""
+        used = reductions.keys() - failures.keys()
+        has_training = any(i < len(logs) for i in used) or not logs
+        has_validation = any(i >= len(logs) for i in used) or not validate
+        _check_failures(failures, skip_bad, has_training and has_validation)
+
+    check()
     common = _common_settings(reductions)
-    others = {}
+    differing = {}
     for i, reduction in reductions.items():
         if not _has_settings(reduction, common):
-            others[i] = replace(tasks[i], config=config.model_copy(update=common.changes(config)))
-    again, more_failures = _reductions(cluster, others, folder, progress)
-    _check_failures(more_failures, skip_bad and len(more_failures) < len(reductions))
-    reductions |= again
-    failures |= more_failures
-    used = [i for i in range(total) if i in reductions and i not in failures]
-    return ReducedFleet(
+            differing[i] = replace(tasks[i], config=config.model_copy(update=common.changes(config)))
+    second_reductions, second_failures = _reductions(cluster, differing, folder, progress)
+    reductions |= second_reductions
+    failures |= second_failures
+    check()
+    used = [i for i in range(len(tasks)) if i in reductions and i not in failures]
+    return ReducedLogs(
         training=tuple((tasks[i].path, reductions[i]) for i in used if i < len(logs)),
         validation=tuple((tasks[i].path, reductions[i]) for i in used if i >= len(logs)),
         notices=tuple(left_out_notice(failures[i]) for i in sorted(failures)),
@@ -170,7 +215,7 @@ def reduce_on_cluster(
 
 @dataclass(frozen=True)
 class _CommonSettings:
-    """What logs must agree in that is taken from them where the configuration leaves it open."""
+    """Joints and cut-off that all logs share."""
 
     joints: tuple[str, ...]
     band_hz: float
@@ -189,6 +234,7 @@ def _common_settings(reductions: Mapping[int, SavedReduction]) -> _CommonSetting
 
 
 def _has_settings(reduction: SavedReduction, common: _CommonSettings) -> bool:
+    """True if a log was reduced with the joints and the cut-off of all logs."""
     return tuple(reduction.settings["joints"]) == common.joints and reduction.band_hz == common.band_hz
 
 
@@ -199,23 +245,26 @@ def _reductions(
     reductions: dict[int, SavedReduction] = {}
     failures: dict[int, Exception] = {}
     missing = []
-    names = {i: task.file_name for i, task in tasks.items()}
-    for i in tasks:
-        reduction = _written_reduction(folder / f"{names[i]}{REDUCTION_SUFFIX}")
+    files: dict[int, Path] = {}
+    for i, task in tasks.items():
+        name = task.file_name
+        files[i] = folder / (name or f"{task.log_name}{REDUCTION_SUFFIX}")
+        reduction = _written_reduction(files[i]) if name else None
         if reduction is None:
             missing.append(i)
         else:
             reductions[i] = reduction
-    stage = f"reducing {len(tasks)} logs on {cluster.threads} processes"
     for k, outcome in cluster.evaluate(reduce_log, [tasks[i] for i in missing]):
         i = missing[k]
         if isinstance(outcome, bytes):
-            file = folder / f"{names[i]}{REDUCTION_SUFFIX}"
-            _write(file, outcome)
-            reductions[i] = read_reduction(file)
+            _write(files[i], tasks[i].log_name, outcome)
+            reductions[i] = read_reduction(files[i])
         else:
             failures[i] = outcome
-            _check_not_in_general(failures.values(), len(reductions), min(len(tasks), cluster.threads + 1))
+            _raise_common_error(failures.values(), len(reductions), min(len(tasks), cluster.threads + 1))
+        failed = f", {len(failures)} failed" if failures else ""
+        processes = "1 process" if cluster.threads == 1 else f"{cluster.threads} processes"
+        stage = f"reducing {count_text(len(tasks), 'log')} on {processes}{failed}"
         progress(stage, (len(reductions) + len(failures)) / len(tasks))
     return reductions, {i: _log_error(tasks[i].path, error) for i, error in failures.items()}
 
@@ -228,17 +277,17 @@ def _written_reduction(file: Path) -> SavedReduction | None:
         return None
 
 
-def _write(file: Path, content: bytes) -> None:
-    """Write a log's reduction, and remove older ones of the same log."""
+def _write(file: Path, log_name: str, content: bytes) -> None:
+    """Write a log's reduction, and remove the oldest ones of the same log."""
     write_all(file.parent, {file.name: content})
-    of_log = file.name.rsplit(".", 2)[0]
-    for other in file.parent.glob(f"{of_log}.*{REDUCTION_SUFFIX}"):
-        if other != file:
-            other.unlink(missing_ok=True)
+    of_log = [other for other in file.parent.glob(f"{escape(log_name)}.*{REDUCTION_SUFFIX}") if other != file]
+    of_log.sort(key=lambda other: other.stat().st_mtime, reverse=True)
+    for other in of_log[_MAX_KEPT - 1 :]:
+        other.unlink(missing_ok=True)
 
 
-def _check_not_in_general(failures: Collection[Exception], successes: int, enough: int) -> None:
-    """Raise the first of some errors if all logs have one that is not about the log."""
+def _raise_common_error(failures: Collection[Exception], successes: int, enough: int) -> None:
+    """Raise the first of some errors if all logs have one that is not about the log, as of the configuration."""
     if successes or len(failures) < enough:
         return
     errors = [error for error in failures if isinstance(error, IdtoolError) and not isinstance(error, LogError)]
@@ -253,16 +302,16 @@ def _log_error(path: Path, error: Exception) -> LogError:
     )
 
 
-def _check_failures(failures: Mapping[int, LogError], skip_bad: bool) -> None:
-    """Raise an error about the first log that cannot be used, which names others, unless they are left out."""
-    if not failures or skip_bad:
+def _check_failures(failures: Mapping[int, LogError], skip_bad: bool, is_enough: bool) -> None:
+    """Raise an error about the first log that cannot be used, unless such logs are left out and others are enough."""
+    if not failures or (skip_bad and is_enough):
         return
-    first, *others = failures.values()
-    advice = "--skip-bad leaves such logs out"
+    first, *others = [failures[i] for i in sorted(failures)]
+    advice = "no other log can be used" if not is_enough else "--skip-bad leaves such logs out"
     if others:
-        names = [Path(error.where).name for error in others[:_MOST_NAMED]]
-        if len(others) > _MOST_NAMED:
-            names.append(f"{len(others) - _MOST_NAMED} more")
+        names = [Path(error.where).name for error in others[:_MAX_NAMED]]
+        if len(others) > _MAX_NAMED:
+            names.append(f"{len(others) - _MAX_NAMED} more")
         advice = f"{join_names(names)} cannot be used either; {advice}"
     raise LogError(first.where, f"{first.what}; {advice}")
 

@@ -18,7 +18,7 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.dataset.equality_constraints import equality_constraints, with_equal_bounds
 from idtool.estimation.dataset.experiment import Experiment, Progress, duplicate_notice, sources_of
-from idtool.estimation.dataset.reduced_logs import LogPlaces, ReducedLog, is_reducible, reduce_logs
+from idtool.estimation.dataset.reduced_logs import ReducedLog, is_reducible, reduce_logs
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.row_settings import first_difference, row_settings
 from idtool.estimation.saved_reduction import SavedReduction
@@ -100,7 +100,7 @@ class ReducedExperiment(Experiment):
 
 
 def save_reduction(
-    experiment: Experiment, holdout: float, progress: Progress, places: LogPlaces | None = None
+    experiment: Experiment, holdout: float, progress: Progress, log_count: int | None = None
 ) -> SavedReduction:
     """Reduce the logs of an experiment.
 
@@ -112,8 +112,8 @@ def save_reduction(
         Share of every log that was held out.
     progress
         Callback for the stage and its progress, from 0 to 1.
-    places
-        Places of its logs among others; None: there are no others.
+    log_count
+        Number of logs that are used together, of which these are some; None: there are no others.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def save_reduction(
         holdout=holdout,
         notices=tuple(notices),
         files=experiment.sources,
-        logs=reduce_logs(experiment, progress, places, divides_held_out=True),
+        logs=reduce_logs(experiment, progress, log_count, divides_held_out=True),
     )
 
 

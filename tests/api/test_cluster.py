@@ -171,10 +171,27 @@ def test_a_rerun_takes_up_what_is_there(scheduler: str, logs: list[Path], tmp_pa
     again = package.fit(LEG, logs, quick=True, cluster=scheduler, reductions=tmp_path)
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
     assert_same_fit(again, first)
-    other_band = package.Model(LEG, {**package.Model(LEG).config, "filter": {"cutoff_hz": 20.0}})
-    package.fit(other_band, logs, quick=True, cluster=scheduler, reductions=tmp_path)
+    config = package.Model(LEG).config
+    other_prior = package.Model(LEG, {**config, "regularization": {"kind": "euclidean", "weight": 1e-3}, "seed": 3})
+    package.fit(other_prior, logs, quick=True, cluster=scheduler, reductions=tmp_path)
+    assert {file: file.stat().st_mtime_ns for file in kept} == kept
     assert len(list(tmp_path.iterdir())) == len(logs)
-    assert not any(file.exists() for file in files)
+    other_band = package.Model(LEG, {**config, "filter": {"cutoff_hz": 20.0}})
+    package.fit(other_band, logs, quick=True, cluster=scheduler, reductions=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2 * len(logs)
+
+
+def test_a_log_that_has_changed_is_read_again(scheduler: str, logs: list[Path], tmp_path: Path) -> None:
+    """However its path is written; of many settings, the newest reductions are kept."""
+    changing = tmp_path / "changing.mcap"
+    folder = tmp_path / "reductions"
+    for i in range(5):
+        changing.write_bytes(logs[i % len(logs)].read_bytes())
+        given = [f"{tmp_path}/./changing.mcap", str(logs[0])]
+        fitted = package.fit(LEG, given, quick=True, cluster=scheduler, reductions=folder)
+        assert len(fitted.logs) == 2
+    assert len(list(folder.glob("changing.*.idr"))) == 3
+    assert len(list(folder.glob("run0.*.idr"))) == 1
 
 
 def test_logs_that_cannot_be_used_are_named_or_left_out(
@@ -201,13 +218,17 @@ def test_logs_that_cannot_be_used_are_named_or_left_out(
             assert fitted.bodies[name].mass == pytest.approx(body.mass, rel=1e-3)
 
 
-def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    no_scheduler = tmp_path / "other.json"
+    no_scheduler.write_text("[]")
     monkeypatch.setattr("idtool.common.cluster._SECONDS_TO_CONNECT", 1)
     for address, words in {
-        "local:0": "local:0 has no process",
+        "local:0": "local:0 is not local:N",
+        "local": "local is not local:N",
+        "nonsense": "nonsense is not the address of a scheduler",
         "tcp://127.0.0.1:1": "no cluster at tcp://127.0.0.1:1",
-        "missing.json": "no cluster at missing.json",
-        "local": "no cluster at local",
+        "missing.json": "missing.json cannot be read",
+        str(no_scheduler): f"{no_scheduler} is not the file of a scheduler",
     }.items():
         refused = idtool("fit", LEG, TRAIN, "--cluster", address)
         assert refused.code == 2

@@ -76,6 +76,11 @@ def most_blocks(active: Iterable[Indices]) -> int:
     return int(np.clip(_MEMORY // size, _FEWEST_BLOCKS, _MOST_BLOCKS))
 
 
+def rounded_count(log_count: int) -> int:
+    """The next power of two, so that what is kept of a log seldom changes as further logs are recorded."""
+    return 1 << (log_count - 1).bit_length()
+
+
 def block_rows(rows: Sequence[int], steps: Sequence[float], band_hz: float, most: int, logs: int) -> list[int]:
     """Number of rows in a block of each log.
 
@@ -96,7 +101,7 @@ def block_rows(rows: Sequence[int], steps: Sequence[float], band_hz: float, most
         Number of logs of which these are some. The more there are, the fewer blocks one of them has.
     """
     shortest = [max(int(np.ceil(_PERIODS / band_hz / step)), 1) for step in steps]
-    most_of_log = max(most // logs, _FEWEST_BLOCKS_OF_LOG)
+    most_of_log = max(most // max(logs, 1), _FEWEST_BLOCKS_OF_LOG)
     factor = 1
     while True:
         lengths = [factor * length for length in shortest]

@@ -31,7 +31,14 @@ from idtool.dynamics.effects.wrench_sensor_offset import drift_times
 from idtool.dynamics.regressor import LinearModel
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.batch_cache import BatchCache
-from idtool.estimation.dataset.blocks import Blocks, block_rows, cut_into_blocks, merge_reductions, most_blocks
+from idtool.estimation.dataset.blocks import (
+    Blocks,
+    block_rows,
+    cut_into_blocks,
+    merge_reductions,
+    most_blocks,
+    rounded_count,
+)
 from idtool.estimation.dataset.contact_detection import is_foot, is_support, with_detected_contacts
 from idtool.estimation.dataset.cutoff import with_cutoff_for_logs
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints, equality_constraints, with_equal_bounds
@@ -259,7 +266,7 @@ class Experiment:
         """`blocks`, whose joints may have no sample that counts; none if the logs are too short."""
         runs = [run for run in self.runs if run.train]
         of_logs = [rows(run) for run in runs]
-        lengths = self.block_rows(runs, [batches.rows for batches in of_logs], len(self.runs))
+        lengths = self.block_rows(runs, [batches.rows for batches in of_logs], rounded_count(len(self.runs)))
 
         def cut(part: LogPart[tuple[list[Array], Shares]]) -> list[tuple[int, Reduction]]:
             redundancy = runs[part.log].signals.low_pass.redundancy
@@ -291,7 +298,9 @@ class Experiment:
             Number of logs of which these are some; None: there are no others.
         """
         steps = [run.signals.row_step for run in runs]
-        return block_rows(rows, steps, self.band_hz, most_blocks(self.equation.active()), logs or len(runs))
+        return block_rows(
+            rows, steps, self.band_hz, most_blocks(self.equation.active()), logs or rounded_count(len(runs))
+        )
 
     def reduce(self, progress: Progress) -> Reduction:
         """The training data as R-factors; see `checked`."""

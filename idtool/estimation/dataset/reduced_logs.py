@@ -19,6 +19,7 @@ from idtool.estimation.dataset.blocks import (
     merge_reductions,
     merged_blocks,
     most_blocks,
+    rounded_count,
 )
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.experiment import Experiment, Progress
@@ -30,25 +31,7 @@ from idtool.estimation.dataset.reduction import Reduction
 _DRAWN_BYTES = 16 << 20  # that the rows which curves are drawn from may take, of all logs
 _SERIES_BYTES = 8 << 20  # that consecutive rows may take, of all logs
 _BINS = (24, 2000)  # fewest and most stretches of time in the curves of a log
-_FEWEST_SERIES = 2  # batches of consecutive rows, however much memory they take
-
-
-@dataclass(frozen=True)
-class LogPlaces:
-    """Places of some logs among all those that are used together: what is kept of each depends on them.
-
-    So logs that are reduced one by one, on different machines, are reduced as they are together.
-
-    Attributes
-    ----------
-    first
-        Number of logs before them.
-    total
-        Number of all logs.
-    """
-
-    first: int
-    total: int
+_MIN_SERIES_ROWS = 512  # of a log, however much memory they take
 
 
 @dataclass(frozen=True)
@@ -104,7 +87,7 @@ def is_reducible(experiment: Experiment) -> bool:
 
 
 def reduce_logs(
-    experiment: Experiment, progress: Progress, places: LogPlaces | None = None, divides_held_out: bool = False
+    experiment: Experiment, progress: Progress, log_count: int | None = None, divides_held_out: bool = False
 ) -> tuple[ReducedLog, ...]:
     """Reduce logs in one pass.
 
@@ -114,25 +97,26 @@ def reduce_logs(
         Model and data; see `is_reducible`.
     progress
         Callback for the stage and its progress, from 0 to 1.
-    places
-        Places of its logs among others; None: there are no others.
+    log_count
+        Number of logs that are used together, of which these are some: what is kept of each depends on it. Logs that
+        are reduced one by one, on different machines, are so reduced as they are together. None: there are no others.
     divides_held_out
         If true, parts for validation are in blocks as well, so that they can be used for fitting.
     """
     equation = experiment.equation
     runs = experiment.runs
-    places = places or LogPlaces(0, len(runs))
+    log_count = rounded_count(log_count or len(runs))
     numbered = list(enumerate(runs))
     kinds = [(i, held_out) for i, run in numbered for held_out in (False, True) if run.parts(held_out)]
     batches = [experiment.batches(runs[i], held_out) for i, held_out in kinds]
     row_bytes = 8 * sum(len(active) + 2 for active in equation.active())
     bytes_per_bin = 2 * ROWS_PER_BIN * row_bytes  # in the parts for fitting and for validation
-    bins = int(np.clip(_DRAWN_BYTES // (bytes_per_bin * places.total), *_BINS))
-    series_starts = []
-    for (i, held_out), own in zip(kinds, batches, strict=True):
-        count = 0 if held_out else _series_count(own, row_bytes, i, places)
-        series_starts.append(_spread_starts(own, count))
-    block_rows = _block_rows(experiment, places.total)
+    bins = int(np.clip(_DRAWN_BYTES // (bytes_per_bin * log_count), *_BINS))
+    series_rows = max(_SERIES_BYTES // (row_bytes * log_count), _MIN_SERIES_ROWS)
+    rows_of_series = []
+    for (_, held_out), own in zip(kinds, batches, strict=True):
+        rows_of_series.append({} if held_out else _spread_series(own, series_rows))
+    rows_per_block = _rows_per_block(experiment, log_count)
 
     def reduce_part(part: LogPart[Batch]) -> ReducedPart:
         i, held_out = kinds[part.log]
@@ -141,10 +125,10 @@ def reduce_logs(
 
         def rows() -> Iterator[tuple[list[Array], Shares]]:
             for batch, span in zip(part.batches, part.batches.spans, strict=True):
-                keep_series = span.start in series_starts[part.log]
-                yield reduced.add_batch(equation, run.signals, batch, keep_series)
+                kept_rows = rows_of_series[part.log].get(span.start, 0)
+                yield reduced.add_batch(equation, run.signals, batch, kept_rows)
 
-        length = block_rows[i] if divides_held_out or not held_out else batches[part.log].rows
+        length = rows_per_block[i] if divides_held_out or not held_out else batches[part.log].rows
         reduced.blocks = dict(cut_into_blocks(rows(), length, run.signals.low_pass.redundancy, part.first_row))
         return reduced
 
@@ -164,7 +148,7 @@ def reduce_logs(
                 unknown_torque=log.unknown_torque,
                 has_commands=bool(run.signals.controller.joints.any()),
                 row_step=run.signals.row_step,
-                block_rows=block_rows[i],
+                block_rows=rows_per_block[i],
                 train=(parts[i, False],) if (i, False) in parts else (),
                 held_out=(parts[i, True],) if (i, True) in parts else (),
             )
@@ -190,7 +174,8 @@ def training_blocks(experiment: Experiment, logs: Sequence[ReducedLog]) -> tuple
     used = [log for log in logs if log.train]
     rows = [sum(part.rows for part in log.train) for log in used]
     steps = [log.row_step for log in used]
-    lengths = block_rows(rows, steps, experiment.band_hz, most_blocks(experiment.equation.active()), len(logs))
+    count = rounded_count(len(logs))
+    lengths = block_rows(rows, steps, experiment.band_hz, most_blocks(experiment.equation.active()), count)
     blocks = []
     for log, length in zip(used, lengths, strict=True):
         factor = max(length // log.block_rows, 1)
@@ -207,7 +192,7 @@ def _without_last_column(reduction: Reduction) -> Reduction:
     return tuple(factor.without_last_column() for factor in reduction)
 
 
-def _block_rows(experiment: Experiment, logs: int) -> list[int]:
+def _rows_per_block(experiment: Experiment, logs: int) -> list[int]:
     """Number of rows in a block of each log of an experiment, of as many logs in all."""
     lengths = [0] * len(experiment.runs)
     for is_trained in (True, False):  # the number of blocks of the others limits that of none that is fitted
@@ -219,17 +204,13 @@ def _block_rows(experiment: Experiment, logs: int) -> list[int]:
     return lengths
 
 
-def _series_count(batches: Batches[Batch], row_bytes: int, log: int, places: LogPlaces) -> int:
-    """Number of batches of a log whose rows are kept one after the other: its share of those of all logs."""
-    longest = max((span.rows for span in batches.spans), default=1)
-    most = max(_SERIES_BYTES // (row_bytes * longest), _FEWEST_SERIES)
-    place = places.first + log
-    return (place + 1) * most // places.total - place * most // places.total
-
-
-def _spread_starts(batches: Batches[Batch], count: int) -> frozenset[int]:
-    """First samples of some batches that are spread evenly over a log, or of all of them."""
+def _spread_series(batches: Batches[Batch], rows: int) -> dict[int, int]:
+    """Numbers of consecutive rows to keep of some batches, spread evenly over a log, by the batch's first sample."""
+    if not batches.rows:
+        return {}
     last_rows = np.cumsum([span.rows for span in batches.spans])
-    middle_rows = (np.arange(count) + 0.5) * batches.rows / max(count, 1)
+    longest = max(span.rows for span in batches.spans)
+    count = max(rows // longest, 1)
+    middle_rows = (np.arange(count) + 0.5) * batches.rows / count
     chosen = np.searchsorted(last_rows, middle_rows).tolist()
-    return frozenset(batches.spans[i].start for i in chosen)
+    return {batches.spans[i].start: rows // count for i in chosen}

@@ -108,7 +108,7 @@ class ReducedPart:
         self.series += other.series
 
     def add_batch(
-        self, equation: LinearModel, signals: Signals, batch: Batch, keep_series: bool
+        self, equation: LinearModel, signals: Signals, batch: Batch, series_rows: int
     ) -> tuple[list[Array], Shares]:
         """Add a batch; its rows are returned, to be cut into blocks.
 
@@ -120,8 +120,8 @@ class ReducedPart:
             The log.
         batch
             A batch of it.
-        keep_series
-            If true, the rows are added to the series.
+        series_rows
+            Number of rows, in the middle of the batch, that are added to the series; 0: none.
 
         Returns
         -------
@@ -156,8 +156,11 @@ class ReducedPart:
             Y, tau = columns[joint][:-1], columns[joint][-1]
             prior_residual = tau - prior[active] @ Y
             self.extremes.add(joint, bins, drawn, (measured[joint], prior_residual))
-        if keep_series:
-            self.series.append([np.concatenate([own, tau[None]]) for own, tau in zip(columns, measured, strict=True)])
+        if series_rows:
+            first = max((measured.shape[1] - series_rows) // 2, 0)
+            kept = slice(first, first + series_rows)
+            pairs = zip(columns, measured, strict=True)
+            self.series.append([np.concatenate([own[:, kept], tau[None, kept]]) for own, tau in pairs])
 
         rows = [np.concatenate([own, torque[None]]) for own, torque in zip(columns, above, strict=True)]
         excluded = []
