@@ -15,12 +15,13 @@ from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.common.notice import Notice, unique
 from idtool.common.provenance import InputFile
-from idtool.common.urls import local_copy, log_path
+from idtool.common.urls import local_copy, log_path, without_secrets
 from idtool.data.logs import JointLog
 from idtool.estimation.dataset.experiment import Experiment, is_about, left_out_notice, prepare
+from idtool.estimation.dataset.robots_of_logs import robots_of_logs
 from idtool.estimation.distributed_reduction import reduce_on_cluster
 from idtool.estimation.fleet import check_fleet
-from idtool.estimation.reduced_experiment import prepare_reduced, save_reduction
+from idtool.estimation.reduced_experiment import ReducedExperiment, prepare_reduced, save_reduction
 from idtool.estimation.saved_reduction import SavedReduction, read_reduction
 from idtool.robot.config.pool import Pool
 
@@ -73,13 +74,16 @@ def load_experiment(
     model = as_model(model)
     given = _GivenLogs(as_list(logs), as_list(validate), holdout)
     try:
+        if pool is not None and not given.has_reductions:
+            robots_of_logs(pool, [_path_of(log) for log in (*given.logs, *given.validate)])
+        experiment: Experiment
         if distribution is not None:
             experiment = _reduced_by_cluster(model, given, distribution, skip_bad, progress)
         elif pool is not None or (takes_reductions and given.has_reductions):
             experiment = _with_reductions(model, given, skip_bad, progress)
         else:
             experiment = _prepare(model, given.logs, given.validate, holdout, skip_bad, transform)
-        if pool is not None:
+        if pool is not None and isinstance(experiment, ReducedExperiment):
             check_fleet(pool, experiment)
         return experiment
     except ConfigError as error:
@@ -163,13 +167,13 @@ def _readable(log: LogSource, model: Model, failures: list[LogError]) -> JointLo
 def _with_reductions(model: Model, given: _GivenLogs, skip_bad: bool, progress: Progress) -> Experiment:
     """A model with reduced logs; logs among them are reduced here."""
     training, validation = given.reductions()
-    others = given.without_reductions()
+    unreduced = given.without_reductions()
     left_out: tuple[Notice, ...] = ()
     notices: tuple[Notice, ...] = ()
-    if others.logs or others.validate:
-        experiment = _prepare(model, others.logs, others.validate, others.holdout, skip_bad)
+    if unreduced.logs or unreduced.validate:
+        experiment = _prepare(model, unreduced.logs, unreduced.validate, unreduced.holdout, skip_bad)
         left_out = experiment.left_out
-        reduction = save_reduction(experiment, others.holdout, progress)
+        reduction = save_reduction(experiment, unreduced.holdout, progress)
         notices = reduction.notices  # which name the logs
         of_training: list[FileAndReduction] = []
         of_validation: list[FileAndReduction] = []
@@ -188,23 +192,23 @@ def _reduced_by_cluster(
 ) -> Experiment:
     """A model with logs that a cluster reduces, and with reductions."""
     training, validation = given.reductions()
-    others = given.without_reductions()
+    unreduced = given.without_reductions()
     left_out: tuple[Notice, ...] = ()
-    if others.logs or others.validate:
-        fleet = reduce_on_cluster(
+    if unreduced.logs or unreduced.validate:
+        reduced = reduce_on_cluster(
             distribution.cluster,
             model.robot,
             model.settings,
-            [_log_file(log) for log in others.logs],
-            [_log_file(log) for log in others.validate],
-            others.holdout,
+            [_log_file(log) for log in unreduced.logs],
+            [_log_file(log) for log in unreduced.validate],
+            unreduced.holdout,
             distribution.folder,
             skip_bad,
             progress,
         )
-        training = _in_order(given.logs, training, fleet.training)
-        validation = _in_order(given.validate, validation, fleet.validation)
-        left_out = fleet.notices
+        training = _in_order(given.logs, training, reduced.training)
+        validation = _in_order(given.validate, validation, reduced.validation)
+        left_out = reduced.notices
     return replace(prepare_reduced(model.robot, model.settings, training, validation), left_out=left_out)
 
 
@@ -220,9 +224,14 @@ def _in_order(
     for log in given:
         if _reduction_path(log) is not None:
             ordered.append(remaining_files.pop(0))
-        elif remaining_logs and remaining_logs[0][0] == (log.path if isinstance(log, Log) else log_path(log)):
+        elif remaining_logs and remaining_logs[0][0] == _path_of(log):
             ordered.append(remaining_logs.pop(0))
     return [*ordered, *remaining_logs]
+
+
+def _path_of(log: LogSource) -> Path:
+    """Path of a log."""
+    return log.path if isinstance(log, Log) else log_path(log)
 
 
 def _log_file(log: LogSource) -> Path:
@@ -233,7 +242,7 @@ def _log_file(log: LogSource) -> Path:
 
 
 def _reduction_path(log: LogSource) -> Path | None:
-    """The path of a file of `idtool reduce`, which is known by its name; None for others."""
+    """The path of a file of `idtool reduce`, which is known by its name; None for unreduced."""
     if isinstance(log, Log) or not str(log).lower().endswith(REDUCTION_SUFFIX):
         return None
     return log_path(log)
@@ -294,4 +303,4 @@ def changed_options(function: Callable[..., Any], **options: Any) -> dict[str, A
 
 
 def _paths_text(logs: Sequence[LogSource]) -> str:
-    return repr([str(log.path if isinstance(log, Log) else log) for log in logs])
+    return repr([without_secrets(str(log.path if isinstance(log, Log) else log)) for log in logs])

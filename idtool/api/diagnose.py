@@ -16,6 +16,7 @@ from idtool.api.results import Progress, Recordable, SavableResult, ignore_progr
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import printable
 from idtool.common.outputs import as_json, as_yaml
+from idtool.common.urls import log_path
 from idtool.data.logs import read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.pairing import check_joints, paired_paths
@@ -223,7 +224,7 @@ def _paired(logs: Logs, against: Logs) -> list[LogSource]:
 
 
 def _path(log: LogSource) -> Path:
-    return log.path if isinstance(log, Log) else Path(log)
+    return log.path if isinstance(log, Log) else log_path(log)
 
 
 def _simulator_experiment(model: Model, logs: Sequence[LogSource], robot: Experiment, holdout: float) -> Experiment:

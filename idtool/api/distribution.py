@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from idtool.common.cluster import Cluster, open_cluster
+from idtool.common.processes import Progress, no_progress
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,9 @@ class Distribution:
 
 
 @contextmanager
-def open_distribution(address: str | None, folder: Path | None) -> Iterator[Distribution | None]:
+def open_distribution(
+    address: str | None, folder: Path | None, progress: Progress = no_progress
+) -> Iterator[Distribution | None]:
     """Connect to a cluster, which is needed no longer than logs are read.
 
     Parameters
@@ -38,6 +41,8 @@ def open_distribution(address: str | None, folder: Path | None) -> Iterator[Dist
         See `open_cluster`; None: logs are read in this process.
     folder
         Where reductions of logs are kept; None: nowhere.
+    progress
+        Called with the name of a stage and the share of it that is done.
 
     Raises
     ------
@@ -47,5 +52,5 @@ def open_distribution(address: str | None, folder: Path | None) -> Iterator[Dist
     if address is None:
         yield None
         return
-    with tempfile.TemporaryDirectory(prefix="idtool-") as temporary, open_cluster(address) as cluster:
+    with tempfile.TemporaryDirectory(prefix="idtool-") as temporary, open_cluster(address, progress) as cluster:
         yield Distribution(cluster, folder or Path(temporary))

@@ -13,6 +13,7 @@ from idtool.api.data import Logs, call_text, changed_options, load_experiment
 from idtool.api.distribution import Distribution, open_distribution
 from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, as_model, identified_urdf_text
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
+from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json, as_yaml
 from idtool.common.processes import Background
 from idtool.common.units import units_text
@@ -187,13 +188,21 @@ def fit(
     """
     report_progress = progress or ignore_progress
     model = as_model(model)
-    with open_distribution(cluster, Path(reductions) if reductions else None) as distribution:
+    check_method(method, model, cluster)
+    with open_distribution(cluster, Path(reductions) if reductions else None, report_progress) as distribution:
         experiment = load_for_fit(model, logs, validate, holdout, distribution, skip_bad, report_progress)
     options = changed_options(
         fit, holdout=holdout, method=method, simulation=simulation, quick=quick, cluster=cluster, skip_bad=skip_bad
     )
     made_by = call_text("fit", model, logs, validate=validate, **options)
     return fit_experiment(experiment, made_by, report_progress, simulation and not quick, not quick, method)
+
+
+def check_method(method: Method, model: Model, cluster: str | None) -> None:
+    """Refuse instrumental variables where logs are reduced; ConfigError."""
+    if method == "iv" and (cluster or model.settings.pool):
+        what = "--cluster" if cluster else "pool in the configuration"
+        raise ConfigError("--method iv", f"needs the samples of the logs, which are not kept with {what}")
 
 
 def load_for_fit(

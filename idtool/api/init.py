@@ -13,6 +13,7 @@ from idtool.api.results import Progress, ignore_progress, notice_lines
 from idtool.common.names import stem
 from idtool.common.outputs import OutputError, check_file, write_all
 from idtool.common.safe_yaml import read_yaml
+from idtool.common.urls import log_path
 from idtool.data.robot_source import read_robot_and_logs
 from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.setup import InitReport, StartErrors, TodoReport, TrialReport
@@ -88,7 +89,7 @@ def init(
         If a log or the configuration cannot be used, or no joint can be identified.
     """
     log_list = [logs] if isinstance(logs, str | os.PathLike) else logs
-    paths = [Path(path) for path in log_list]
+    paths = [log_path(path) for path in log_list]
     config_path = None if config is None else Path(config)
     default_path = default_configuration(Path(urdf))
     path = default_path if file is None else Path(file)

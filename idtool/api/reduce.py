@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from pathlib import Path
 
 from idtool.api.data import DEFAULT_HOLDOUT, Logs, load_experiment
@@ -14,6 +13,7 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.common.outputs import check_file
 from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.distributed_reduction import remove_reductions
 from idtool.estimation.reduced_experiment import ReducedExperiment, merged_reduction, save_reduction
 from idtool.estimation.saved_reduction import SavedReduction, write_reduction
 from idtool.reporting.results.base import notice_fields
@@ -75,8 +75,9 @@ def reduce(
     0.11
     """
     file = check_reduction_file(Path(out))
-    with open_distribution(cluster, None) as distribution:
-        return reduce_logs(model, logs, file, holdout, distribution, skip_bad, progress or ignore_progress)
+    report_progress = progress or ignore_progress
+    with open_distribution(cluster, None, report_progress) as distribution:
+        return reduce_logs(model, logs, file, holdout, distribution, skip_bad, report_progress)
 
 
 def reduce_logs(
@@ -118,7 +119,7 @@ def reduce_logs(
     progress("writing", 0.0)
     write_reduction(file, reduction)
     if distribution is not None:
-        shutil.rmtree(distribution.folder, ignore_errors=True)
+        remove_reductions(distribution.folder)
     return _result(experiment, reduction, file)
 
 

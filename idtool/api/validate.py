@@ -161,7 +161,7 @@ def validate(
     """
     report_progress = progress or ignore_progress
     model = as_model(model)
-    with open_distribution(cluster, Path(reductions) if reductions else None) as distribution:
+    with open_distribution(cluster, Path(reductions) if reductions else None, report_progress) as distribution:
         experiment = load_experiment(
             model,
             (),

@@ -56,7 +56,7 @@ def fit_command(
     from idtool.reporting.pages.plotly_js import prepare_plotly
 
     prepare_plotly()
-    from idtool.api.fit import fit_experiment, load_for_fit
+    from idtool.api.fit import check_method, fit_experiment, load_for_fit
     from idtool.api.model import Model
     from idtool.reporting.fit_report import met_bounds
     from idtool.reporting.terminal import Terminal
@@ -66,7 +66,8 @@ def fit_command(
     folder = output_folder(urdf, out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
-        with distribution_of(cluster, folder / REDUCTIONS, terminal) as distribution:
+        check_method(method, model, cluster)
+        with distribution_of(cluster, folder / REDUCTIONS, terminal, progress) as distribution:
             experiment = load_for_fit(model, logs, validate or (), holdout, distribution, skip_bad, progress)
         bounds = parse_bounds(max_rms or [], experiment)
         simulate = not (no_simulation or quick)

@@ -8,12 +8,17 @@ from typing import Annotated
 import typer
 
 from idtool.cli.app import FIRST_STEPS, app
-from idtool.cli.options import LOG_FORMATS, JsonOption, QuietOption, finish
+from idtool.cli.options import LOG_FORMATS, JsonOption, QuietOption, finish, log_path_or_url
 
 
 @app.command("inspect", rich_help_panel=FIRST_STEPS, epilog="Example: idtool inspect run1.mcap")
 def inspect_command(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help=f"A log ({LOG_FORMATS}).", show_default=False)],
+    log: Annotated[
+        Path,
+        typer.Argument(
+            metavar="LOG", help=f"A log ({LOG_FORMATS}), or its URL.", show_default=False, parser=log_path_or_url
+        ),
+    ],
     config: Annotated[
         Path | None, typer.Option("--config", help="Configuration, for reading the log, and for its sensors.")
     ] = None,

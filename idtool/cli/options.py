@@ -6,7 +6,7 @@ import math
 import os
 import shlex
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -16,6 +16,7 @@ import typer
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.input_files import missing_file_advice
 from idtool.common.names import stem
+from idtool.common.urls import without_secrets
 
 if TYPE_CHECKING:
     from idtool.api.distribution import Distribution
@@ -146,10 +147,13 @@ ClusterOption = Annotated[
         "--cluster",
         metavar="ADDRESS|local:N",
         help="Dask cluster that reads the logs: address or JSON file of its scheduler, or local:N for N processes on "
-        "this machine; needs the extra 'cluster' of idtool.",
+        "this machine. There is then no simulation and no search for faults of the data. Needs the extra 'cluster' of "
+        "idtool.",
     ),
 ]
-SkipBadOption = Annotated[bool, typer.Option("--skip-bad", help="Leave out logs that cannot be used; they are named.")]
+SkipBadOption = Annotated[
+    bool, typer.Option("--skip-bad", help="Leave out logs that cannot be used; a warning names each.")
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print only errors.")]
 MaxRmsOption = Annotated[
     list[str] | None,
@@ -199,11 +203,13 @@ ExplainOption = Annotated[bool, typer.Option("--explain", help="Show why each ca
 
 
 @contextmanager
-def distribution_of(address: str | None, folder: Path, terminal: Terminal) -> Iterator[Distribution | None]:
+def distribution_of(
+    address: str | None, folder: Path, terminal: Terminal, progress: Callable[[str, float], None]
+) -> Iterator[Distribution | None]:
     """The cluster that reads the logs, None without an address; reductions are kept in the folder."""
     from idtool.api.distribution import open_distribution
 
-    with open_distribution(address, folder) as distribution:
+    with open_distribution(address, folder, progress) as distribution:
         if distribution is not None and distribution.cluster.dashboard:
             terminal.say(f"dashboard of the cluster: {distribution.cluster.dashboard}")
         yield distribution
@@ -249,7 +255,7 @@ def parse_bounds(texts: list[str], experiment: Experiment) -> dict[str, float]:
 
 def command_line() -> str:
     """The command line, as a person would type it."""
-    return shlex.join(["idtool", *sys.argv[1:]])
+    return shlex.join(["idtool", *map(without_secrets, sys.argv[1:])])
 
 
 def finish(terminal: Terminal, result: Result, checks: Mapping[str, bool], failure: str = "bound not met") -> None:

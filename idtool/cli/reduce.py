@@ -62,7 +62,7 @@ def reduce_command(
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
         parts = file.with_name(f"{file.stem}_{REDUCTIONS}")
-        with distribution_of(cluster, parts, terminal) as distribution:
+        with distribution_of(cluster, parts, terminal, progress) as distribution:
             result = reduce_logs(model, logs, file, holdout, distribution, skip_bad, progress)
     show_reduction(terminal, result)
     finish(terminal, result, {})

@@ -80,7 +80,7 @@ def validate_command(
     folder = output_folder(urdf, out)
     with terminal.progress() as progress:
         model, all_logs = Model.with_logs(urdf, logs or (), config)
-        with distribution_of(cluster, folder / REDUCTIONS, terminal) as distribution:
+        with distribution_of(cluster, folder / REDUCTIONS, terminal, progress) as distribution:
             experiment = load_experiment(
                 model,
                 (),

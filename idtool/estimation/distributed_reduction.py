@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
@@ -211,6 +212,14 @@ def reduce_on_cluster(
         validation=tuple((tasks[i].path, reductions[i]) for i in used if i >= len(logs)),
         notices=tuple(left_out_notice(failures[i]) for i in sorted(failures)),
     )
+
+
+def remove_reductions(folder: Path) -> None:
+    """Remove the reductions of single logs, and their folder if there is nothing else in it."""
+    for file in folder.glob(f"*.*.*{REDUCTION_SUFFIX}"):
+        file.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
 
 
 @dataclass(frozen=True)

@@ -8,21 +8,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from fnmatch import fnmatch
-from pathlib import Path
 
 import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError, SolverError
-from idtool.common.names import join_names, printable
+from idtool.common.names import printable, suggestion
 from idtool.common.notice import Notice
-from idtool.common.number_text import number
+from idtool.common.number_text import number, with_error
 from idtool.dynamics.effects import effect_name
+from idtool.dynamics.effects.rigid_body import RIGID_BODY
+from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
-from idtool.estimation.dataset.experiment import Experiment, Progress
+from idtool.estimation.dataset.equality_constraints import EqualityConstraints
+from idtool.estimation.dataset.experiment import Progress
 from idtool.estimation.dataset.pooled_model import PooledModel, pooled_model
 from idtool.estimation.dataset.reduced_logs import ReducedLog, training_blocks
+from idtool.estimation.dataset.reduction import Reduction
+from idtool.estimation.dataset.robots_of_logs import robots_of_logs
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.evaluation.reduced_errors import evaluate_reduced
 from idtool.estimation.evaluation.torque_errors import Errors, Evaluation
@@ -33,12 +36,31 @@ from idtool.estimation.problem.regularization_path import regularization_path
 from idtool.estimation.reduced_experiment import ReducedExperiment
 from idtool.estimation.uncertainty.analysis import cluster_notices
 from idtool.estimation.uncertainty.cluster_robust import ClusterRobustEstimate, cluster_robust_estimate
-from idtool.robot.config.pool import Pool
+from idtool.robot.config.pool import FRICTION, Pool
 
 _MIN_RATIO = 4.0  # of a difference to its standard error, above which a robot stands out
-_MIN_DIFFERENCE = 0.3  # of the others' value
+_MIN_DIFFERENCE = 0.3  # of the largest value
 _MIN_GAIN = 0.15  # of its error, that a robot's own bodies would take away
+_DIAGNOSE = (
+    "idtool diagnose with its model in robots/{robot}, its logs and --inertia fixed finds what it carries or lacks"
+)
 _MAD_TO_SIGMA = 1.4826  # of a normal distribution
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A difference of a robot from the others.
+
+    Attributes
+    ----------
+    text
+        The difference in words.
+    advice
+        What to do about it; empty if the text is enough.
+    """
+
+    text: str
+    advice: str = ""
 
 
 @dataclass(frozen=True)
@@ -51,27 +73,19 @@ class FleetRobot:
         Its name.
     fit
         The fleet's model with its own friction, as a fit: estimate, uncertainty and errors on its logs.
-    alone
-        Errors, on the same data as `Fit.evaluation`, of a model that was fitted to its logs alone.
+    error
+        RMS error of this model on the robot's logs [N·m or N].
+    error_alone
+        The same of a model that was fitted to its logs alone.
     outliers
         How it differs from the others.
     """
 
     name: str
     fit: Fit
-    alone: Errors
-    outliers: tuple[str, ...] = ()
-
-    @property
-    def error(self) -> float:
-        """RMS error of the fleet's model on the robot's logs [N·m or N]."""
-        joints = self.fit.experiment.equation.joints
-        return self.fit.evaluation.errors["identified"].rms(joints)["overall"]
-
-    @property
-    def error_alone(self) -> float:
-        """RMS error of a model that was fitted to its logs alone [N·m or N]."""
-        return self.alone.rms(self.fit.experiment.equation.joints)["overall"]
+    error: float
+    error_alone: float
+    outliers: tuple[Outlier, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -121,12 +135,19 @@ def fit_fleet(fit: Fit, progress: Progress) -> Fleet:
     fit = solver.fit  # with the weight of the prior for the fleet
     estimated = solver.estimate()
     robust = solver.uncertainty(estimated)
+    compares_held_out = all(any(log.held_out for log in logs) for logs in logs_by_robot.values())
+    noise = estimated.noise.reshape(len(logs_by_robot), -1)
     robots = []
     for r, (name, logs) in enumerate(logs_by_robot.items()):
         progress("fitting the fleet", (r + 1) / (len(logs_by_robot) + 1))
-        own_fit = solver.view(estimated, robust, model.selection(r), replace(experiment, logs=tuple(logs)))
-        robots.append(FleetRobot(name, solver.evaluated(own_fit, logs), solver.errors_alone(own_fit, logs)))
-    mean = solver.view(estimated, robust, model.mean, experiment)
+        of_robot = replace(experiment, logs=tuple(logs))
+        own_fit = solver.with_errors(solver.fit_of(estimated, robust, model.selection(r), noise[r], of_robot), logs)
+        evaluation = own_fit.validation if compares_held_out else own_fit.train
+        error = _overall(evaluation.errors["identified"], experiment)
+        error_alone = _overall(solver.errors_alone(logs, compares_held_out), experiment)
+        robots.append(FleetRobot(name, own_fit, error, error_alone))
+    mean_noise = np.sqrt(np.square(noise).mean(axis=0))
+    mean = solver.fit_of(estimated, robust, model.mean, mean_noise, experiment)
     mean = replace(
         mean,
         train=_merged(fit.train, [robot.fit.train for robot in robots]),
@@ -137,7 +158,12 @@ def fit_fleet(fit: Fit, progress: Progress) -> Fleet:
     return Fleet(replace(mean, notices=(*notices, *_outlier_notices(robots))), pool, tuple(robots))
 
 
-def check_fleet(pool: Pool, experiment: Experiment) -> None:
+def _overall(errors: Errors, experiment: ReducedExperiment) -> float:
+    """RMS error over all joints [N·m or N]."""
+    return errors.rms(experiment.equation.joints)["overall"]
+
+
+def check_fleet(pool: Pool, experiment: ReducedExperiment) -> None:
     """Check that a fleet can be fitted, before the work is done.
 
     Raises
@@ -145,60 +171,33 @@ def check_fleet(pool: Pool, experiment: Experiment) -> None:
     ConfigError
         If the logs are not those of several robots, or these have nothing of their own.
     """
-    if isinstance(experiment, ReducedExperiment):
-        logs_of_robots(pool, experiment.logs)
-        _check_own(pool, experiment)
+    logs_of_robots(pool, experiment.logs)
+    equation = experiment.equation
+    for name in pool.own:
+        if name == RIGID_BODY:
+            raise ConfigError(f"pool.own: {name}", "bodies are what all robots share; list friction, or effects")
+        if not pooled_model(equation, ["robot"], [name]).is_own.any():
+            effects = [c.effect for c in equation.coefficients if c.effect != RIGID_BODY]
+            known = [FRICTION, *dict.fromkeys(effects)]
+            raise ConfigError(f"pool.own: {name}", f"has no parameters in this model; {suggestion(name, known)}")
 
 
 def logs_of_robots(pool: Pool, logs: Sequence[ReducedLog]) -> dict[str, list[ReducedLog]]:
-    """Logs by robot: as the configuration says, else by the folder that a log is in.
+    """Logs by robot.
 
     Raises
     ------
     ConfigError
-        If a log is of no robot or of several, or all are of one.
+        As `robots_of_logs`, or if no log of a robot is for the fit.
     """
-    by_robot: dict[str, list[ReducedLog]] = {name: [] for name in pool.robots}
-    for log in logs:
-        by_robot.setdefault(_robot_of(pool, log.path), []).append(log)
-    for name in by_robot:
-        if name in ("", ".", "..") or "/" in name or "\\" in name or not name.isprintable():
-            raise ConfigError(f"pool.robots: {printable(name)}", "cannot be the name of a folder; give another name")
-    unused = [name for name, own in by_robot.items() if not own]
-    if unused:
-        raise ConfigError(f"pool.robots: {unused[0]}", "no log is of this robot; remove it, or correct its patterns")
-    if len(by_robot) < 2:
-        (name,) = by_robot
-        what = f"all logs are of one robot, {printable(name)}"
-        raise ConfigError("pool", f"{what}; put those of each robot into a folder, or list them under pool.robots")
+    by_robot: dict[str, list[ReducedLog]] = {}
+    for log, robot in zip(logs, robots_of_logs(pool, [log.path for log in logs]), strict=True):
+        by_robot.setdefault(robot, []).append(log)
     unfitted = [name for name, own in by_robot.items() if not any(log.train for log in own)]
     if unfitted:
         what = f"no log of {printable(unfitted[0])} is for the fit"
         raise ConfigError("pool", f"{what}; give one, or leave out its logs for validation")
     return by_robot
-
-
-def _robot_of(pool: Pool, path: Path) -> str:
-    if not pool.robots:
-        return path.absolute().parent.name
-    robots = []
-    for name, patterns in pool.robots.items():
-        if any(fnmatch(path.name, pattern) or fnmatch(str(path), pattern) for pattern in patterns):
-            robots.append(name)
-    if len(robots) != 1:
-        what = f"the log {path.name} is of {join_names(robots) if robots else 'none of the robots'}"
-        raise ConfigError("pool.robots", f"{what}; give patterns by which each log is of one robot")
-    return robots[0]
-
-
-def _check_own(pool: Pool, experiment: ReducedExperiment) -> None:
-    """Refuse what no coefficient belongs to."""
-    effects = {c.effect for c in experiment.equation.coefficients}
-    for name in pool.own:
-        has_any = pooled_model(experiment.equation, ["robot"], [name]).is_own.any()
-        if not has_any:
-            known = join_names(sorted(effects - {"rigid_body"}))
-            raise ConfigError(f"pool.own: {name}", f"has no parameters in this model; it has friction, and {known}")
 
 
 class _FleetSolver:
@@ -254,25 +253,17 @@ class _FleetSolver:
 
     def estimate(self) -> Estimate:
         """The coefficients of all robots."""
-        config = self._experiment.config
-        return estimate(
-            self._model,
-            self.fit.prior,
-            self._total,
-            self.fit.sets,
-            self.fit.regularization,
-            self._equalities,
-            config.solver.name,
-            backend=config.solver.backend,
-        )
+        return self._estimate(self._model, self._total, self._equalities)
 
     def uncertainty(self, estimated: Estimate) -> ClusterRobustEstimate:
         """Standard errors of the coefficients of all robots."""
         rng = np.random.default_rng(self._experiment.config.seed)
         return cluster_robust_estimate(self._model, self.data, estimated.noise, estimated.theta, self._equalities, rng)
 
-    def view(self, estimated: Estimate, robust: ClusterRobustEstimate, M: Array, experiment: ReducedExperiment) -> Fit:
-        """The fit with coefficients M theta, M (p, P), and their uncertainty; its errors are still to be evaluated."""
+    def fit_of(
+        self, estimated: Estimate, robust: ClusterRobustEstimate, M: Array, noise: Array, experiment: ReducedExperiment
+    ) -> Fit:
+        """The fit with coefficients M theta, M (p, P), and their uncertainty; its errors are still those of `fit`."""
         fit = self.fit
         theta = M @ estimated.theta
         uncertainty = robust.uncertainty.of_combinations(M)
@@ -284,12 +275,10 @@ class _FleetSolver:
                 robust, theta=M @ robust.theta, uncertainty=uncertainty, influence=robust.influence @ M.T
             ),
         )
-        by_joint = estimated.noise.reshape(len(self._model.robots), -1)
-        noise = np.sqrt(np.square(by_joint).mean(axis=0))
         own_estimate = replace(estimated, theta=theta, noise=noise)
         return replace(fit, experiment=experiment, estimate=own_estimate, uncertainty_analysis=analysis)
 
-    def evaluated(self, own_fit: Fit, logs: Sequence[ReducedLog]) -> Fit:
+    def with_errors(self, own_fit: Fit, logs: Sequence[ReducedLog]) -> Fit:
         """A robot's fit with its errors on the robot's logs."""
         equation = self._experiment.equation
         models = {"identified": own_fit.estimate.theta, "prior": equation.prior}
@@ -297,24 +286,27 @@ class _FleetSolver:
         validation = evaluate_reduced(equation, logs, models, held_out=True)
         return replace(own_fit, train=train, validation=validation)
 
-    def errors_alone(self, own_fit: Fit, logs: Sequence[ReducedLog]) -> Errors:
-        """Errors of a model that is fitted to a robot's logs alone."""
-        experiment = self._experiment
-        config = experiment.config
-        data = training_blocks(experiment, logs)
-        alone = estimate(
-            experiment.equation,
-            self.fit.prior,
-            merge_reductions([log.total for log in data]),
-            self.fit.sets,
-            self.fit.regularization,
-            experiment.equalities,
-            config.solver.name,
-            backend=config.solver.backend,
+    def errors_alone(self, logs: Sequence[ReducedLog], held_out: bool) -> Errors:
+        """Errors on a robot's held-out data, or its training data, of a model that is fitted to its logs alone."""
+        equation = self._experiment.equation
+        data = training_blocks(self._experiment, logs)
+        alone = self._estimate(equation, merge_reductions([log.total for log in data]), self._experiment.equalities)
+        return evaluate_reduced(equation, logs, {"alone": alone.theta}, held_out).errors["alone"]
+
+    def _estimate(self, equation: LinearModel, reduction: Reduction, equalities: EqualityConstraints) -> Estimate:
+        """Coefficients of an equation, with the prior and the settings of the fleet."""
+        fit = self.fit
+        solver = self._experiment.config.solver
+        return estimate(
+            equation,
+            fit.prior,
+            reduction,
+            fit.sets,
+            fit.regularization,
+            equalities,
+            solver.name,
+            backend=solver.backend,
         )
-        has_held_out = any(log.held_out for log in logs)
-        evaluation = evaluate_reduced(experiment.equation, logs, {"alone": alone.theta}, has_held_out)
-        return evaluation.errors["alone"]
 
 
 def _merged(of_all: Evaluation, of_robots: Sequence[Evaluation]) -> Evaluation:
@@ -333,26 +325,26 @@ def _merged(of_all: Evaluation, of_robots: Sequence[Evaluation]) -> Evaluation:
     return replace(of_all, errors=errors, traces=traces)
 
 
-def _outliers(robot: FleetRobot, robots: Sequence[FleetRobot], model: PooledModel) -> Iterator[str]:
-    """How a robot differs from the others, in words."""
+def _outliers(robot: FleetRobot, robots: Sequence[FleetRobot], model: PooledModel) -> Iterator[Outlier]:
+    """Differences of a robot from the others; of two robots, none can be told to be the odd one by a value."""
     others = [other for other in robots if other is not robot]
-    coefficients = model.of_one.coefficients
-    for i in np.flatnonzero(model.is_own).tolist():
+    for i in np.flatnonzero(model.is_own).tolist() if len(others) > 1 else []:
         value, error = _coefficient(robot, i)
         values, errors = np.array([_coefficient(other, i) for other in others]).T
         middle = float(np.median(values))
         spread = _MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))
         scatter = np.sqrt(error**2 + float(np.median(errors)) ** 2 + spread**2)
         difference = abs(value - middle)
-        if difference > _MIN_RATIO * scatter and difference > _MIN_DIFFERENCE * abs(middle):
-            c = coefficients[i]
-            yield (
-                f"{effect_name(c.effect)} of {c.owner} is {number(value)} {c.unit}, of the others "
-                f"{_range_text(values)} (standard error {number(float(error))})"
-            )
+        largest = max(abs(value), float(np.abs(values).max()))
+        if difference > _MIN_RATIO * scatter and difference > _MIN_DIFFERENCE * largest:
+            c = model.of_one.coefficients[i]
+            own = " ± ".join(with_error(value, error))
+            text = f"{effect_name(c.effect)} of {c.owner} is {own} {c.unit}; the others have {_range_text(values)}"
+            yield Outlier(text)
     gain = 1 - robot.error_alone / max(robot.error, np.finfo(float).tiny)
     if gain > _MIN_GAIN:
-        yield f"a model fitted to its logs alone has {100 * gain:.0f} % less error: its bodies differ from the fleet's"
+        better = f"a model fitted to its logs alone has {100 * gain:.0f} % less error"
+        yield Outlier(f"{better}: its bodies probably differ, as with a load", _DIAGNOSE.format(robot=robot.name))
 
 
 def _coefficient(robot: FleetRobot, index: int) -> tuple[float, float]:
@@ -362,6 +354,7 @@ def _coefficient(robot: FleetRobot, index: int) -> tuple[float, float]:
 
 
 def _range_text(values: Array) -> str:
+    """Least and greatest of some values."""
     low, high = number(float(values.min())), number(float(values.max()))
     return low if low == high else f"{low} to {high}"
 
@@ -380,7 +373,7 @@ def _general_notices(fit: Fit) -> list[Notice]:
 
 
 def _outlier_notices(robots: Sequence[FleetRobot]) -> Iterator[Notice]:
+    """Notices about robots that stand out."""
     for robot in robots:
-        advice = f"idtool diagnose robots/{robot.name}/identified.urdf LOG… --inertia fixed finds what it has or lacks"
         for outlier in robot.outliers:
-            yield Notice("robot_stands_out", "warning", robot.name, outlier, advice)
+            yield Notice("robot_stands_out", "warning", robot.name, outlier.text, outlier.advice)

@@ -389,7 +389,7 @@ def fleet_report(fleet: Fleet) -> FleetReport:
             rms=robot.error,
             rms_alone=robot.error_alone,
             friction={joint: friction_report(fit, joint) for joint in joints},
-            outliers=robot.outliers,
+            outliers=[outlier.text for outlier in robot.outliers],
         )
     return FleetReport(shared=fleet.pool.shared, own=fleet.pool.own, robots=robots)
 

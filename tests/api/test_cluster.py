@@ -126,15 +126,18 @@ def test_logs_behind_urls(scheduler: str, logs: list[Path], from_logs: package.F
         threading.Thread(target=server.serve_forever, daemon=True).start()
         address = f"http://127.0.0.1:{server.server_address[1]}"
         urls = [f"{address}/{path.name}" for path in logs]
-        fitted = package.fit(LEG, urls, quick=True, cluster=scheduler)
+        fitted = package.fit(LEG, [f"{urls[0]}?signature=secret", *urls[1:]], quick=True, cluster=scheduler)
+        inspected = idtool("inspect", f"{urls[1]}?signature=secret", "--json")
         missing = idtool("fit", LEG, f"{address}/run7.mcap", "--quick")
         log = package.Log(urls[0])
         server.shutdown()
     assert_same_fit(fitted, from_logs)
     assert fitted.logs == tuple(urls)
+    assert "secret" not in str(fitted.to_json()) + inspected.out
+    assert inspected.json["path"] == urls[1]
     assert log.path.name == "run0.mcap"
     assert missing.code == 2
-    assert missing.err.startswith(f"error: {address}/run7.mcap: cannot be read: ")
+    assert missing.err == f"error: {address}/run7.mcap: cannot be read: there is no such file; check the URL\n"
     assert missing.err.count("\n") == 1
 
 

@@ -36,7 +36,7 @@ from idtool.common.input_files import REDUCTION_SUFFIX, missing_file_advice
 from idtool.common.names import printable, suggestion
 from idtool.common.outputs import OutputError, check_file
 from idtool.common.provenance import source_from_file
-from idtool.common.urls import is_url, local_copy, log_path
+from idtool.common.urls import is_url, local_copy, log_path, without_secrets
 from idtool.data.logs.bag import METADATA, ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
 from idtool.data.logs.log import SIGNALS, JointLog, make_log
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
@@ -125,8 +125,9 @@ def _read_url(url: Path, **options: Any) -> JointLog:
             log = read_log(copy, **options)
         except LogError as error:
             raise LogError(url, error.what) from None
-    sources = tuple(replace(source, path=str(url)) for source in log.sources)
-    return replace(log, path=url, sources=sources)
+    shown = without_secrets(str(url))
+    sources = tuple(replace(source, path=shown) for source in log.sources)
+    return replace(log, path=log_path(shown), sources=sources)
 
 
 def _read(

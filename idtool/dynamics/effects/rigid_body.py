@@ -21,6 +21,8 @@ from idtool.robot.model import RobotModel
 _BUFFER = 1 << 18  # numbers, 2 MiB: what fits in a processor's cache
 _MIN_MASS_SHARE = 0.1  # of the bodies' median mass
 
+RIGID_BODY = "rigid_body"  # effect of their coefficients
+
 
 class RigidBodies(Effect):
     """All bodies of a model, ten coefficients each, in the model's order.
@@ -39,7 +41,7 @@ class RigidBodies(Effect):
             for name, unit, prior, scale in zip(
                 PARAMETER_NAMES, PARAMETER_UNITS, body.pi, parameter_scales(body, typical), strict=True
             ):
-                coefficients.append(Coefficient("rigid_body", body.name, name, unit, float(prior), float(scale)))
+                coefficients.append(Coefficient(RIGID_BODY, body.name, name, unit, float(prior), float(scale)))
         self.coefficients = tuple(coefficients)
 
         support = model.support()

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from idtool.common.units import units_text
 from idtool.reporting.plots.figure import Figure, Panel, PlotlyTrace, figure, styled_curve
 from idtool.reporting.results.fit import FitReport, FleetReport, FleetRobotReport, FrictionErrors
+from idtool.reporting.sections.fit import friction_units
+from idtool.robot.config.pool import FRICTION
 
-_TITLES = {"viscous": "viscous", "coulomb": "Coulomb", "offset": "offset"}
+_TITLES = {"coulomb": "Coulomb"}
 _BAR = 2.0  # standard errors
 _MARKER = 8  # px
 _SPREAD = 0.6  # of the distance from one joint to the next, over which the robots lie side by side
@@ -21,20 +22,21 @@ def fleet_figure(report: FitReport) -> Figure | None:
         The content of report.json.
     """
     fleet = report.fleet
-    if fleet is None:
+    if fleet is None or FRICTION not in fleet.own:
         return None
+    kinds = [friction_units(unit) for unit in dict.fromkeys(report.units.values())]
+    viscous_unit, dry_unit = (" or ".join(units) for units in zip(*kinds, strict=True))
     joints = list(report.friction)
     panels = []
     for term in FrictionErrors.model_fields:
         curves = _curves(fleet, joints, term)
         if curves:
-            panels.append(Panel(_TITLES[term], curves))
+            unit = viscous_unit if term == "viscous" else dry_unit
+            panels.append(Panel(f"{_TITLES.get(term, term)} [{unit}]", curves))
     if not panels:
         return None
     axis = {"tickmode": "array", "tickvals": list(range(len(joints))), "ticktext": joints}
-    units = units_text(report.units)
-    caption = f"Friction of each robot, {units}·s/rad and {units}, with bars of two standard errors"
-    return figure(caption, "joint", panels, x_axis=axis)
+    return figure("Friction of each robot, with bars of two standard errors", "joint", panels, x_axis=axis)
 
 
 def _curves(fleet: FleetReport, joints: list[str], term: str) -> list[PlotlyTrace]:

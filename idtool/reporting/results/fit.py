@@ -401,8 +401,8 @@ class FleetRobotReport(Record):
     logs: tuple[str, ...] = field("Its logs.")
     samples: int = field("Number of samples used for the fit.")
     rms: float = field(
-        "RMS torque error of the fleet's model with the robot's own friction, of all joints, on its held-out data or, "
-        "without any, the training data [N·m or N]."
+        "RMS torque error of the fleet's model with the robot's own friction, of all joints; on held-out data if all "
+        "robots have some, else on the training data [N·m or N]."
     )
     rms_alone: float = field("The same of a model that was fitted to its logs alone.")
     friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Its friction.")

@@ -317,7 +317,7 @@ class FrictionSection(Section[FitReport | DiagnosisReport]):
 
     @override
     def table(self, report: FitReport | DiagnosisReport) -> Table:
-        kinds = {torque: _friction_units(torque) for torque in dict.fromkeys(report.units.values())}
+        kinds = {torque: friction_units(torque) for torque in dict.fromkeys(report.units.values())}
         is_mixed = len(kinds) > 1
         columns = [name_column("joint")]
         if is_mixed:
@@ -345,7 +345,7 @@ class FrictionSection(Section[FitReport | DiagnosisReport]):
         )
 
 
-def _friction_units(torque: str) -> tuple[str, str]:
+def friction_units(torque: str) -> tuple[str, str]:
     """Units of viscous and of dry friction, by that of torque."""
     position = position_units({"": torque})[""]
     return f"{torque}·s/{position}", torque

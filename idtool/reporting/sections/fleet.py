@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing_extensions import override
 
+from idtool.common.names import join_names
 from idtool.common.units import units_text
 from idtool.reporting.results.fit import FitReport
 from idtool.reporting.sections.base import Cell, Column, Section, Table, name_column, number_cell
@@ -22,7 +23,7 @@ class FleetSection(Section[FitReport]):
         columns = [
             name_column("robot"),
             Column("logs"),
-            Column("fleet's bodies", help="Error with the bodies of the fleet and the robot's own friction."),
+            Column("fleet's bodies", help="Error with the bodies of the fleet and what the robot has of its own."),
             Column("fitted alone", help="Error of a model that was fitted to the robot's logs alone."),
             Column("differs from the others", kind="words"),
         ]
@@ -36,9 +37,10 @@ class FleetSection(Section[FitReport]):
 
     @override
     def text(self, report: FitReport) -> str:
+        own = report.fleet.own if report.fleet else ()
         return (
-            "All robots have the same bodies, and friction of their own. A robot differs if a value of its friction is "
-            "more than four standard errors and 30 % away from the others' median, or if a model fitted to its logs "
-            "alone has at least 15 % less error. The other tables have the mean of the robots' friction; the model of "
-            "each robot is in the folder robots/."
+            f"All robots have the same bodies; each has its own {join_names(own)}. A robot differs if a value of these "
+            "is further from the others' median than four times the scatter (its standard error and their spread) "
+            "and 30 % of the largest value, or if a model fitted to its logs alone has at least 15 % less error. The "
+            "other tables have the mean of the robots; the model of each is in the folder robots/."
         )
