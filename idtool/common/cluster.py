@@ -38,14 +38,18 @@ class Cluster:
     ----------
     client
         Connection to its scheduler.
+
+    Attributes
+    ----------
+    threads
+        Number of evaluations at once, of all workers, when items were last given out.
     """
 
     def __init__(self, client: Any) -> None:
         self._client = client
+        self.threads = self._count_threads()
 
-    @property
-    def threads(self) -> int:
-        """Number of evaluations at once, of all workers."""
+    def _count_threads(self) -> int:
         return sum(self._client.nthreads().values())
 
     @property
@@ -77,7 +81,10 @@ class Cluster:
 
         def submit_more() -> list[Any]:
             """Give out as many items as all workers, also new ones, can soon take."""
-            futures = []
+            futures: list[Any] = []
+            if len(numbers) >= _TASKS_PER_THREAD * self.threads - self.threads:
+                return futures
+            self.threads = self._count_threads()
             count = max(_TASKS_PER_THREAD * max(self.threads, 1) - len(numbers), 0)
             for _, (number, item) in zip(range(count), remaining, strict=False):
                 future = self._client.submit(_evaluate, function, item, retries=_RETRIES, pure=False)

@@ -27,7 +27,7 @@ from idtool.common.version import VERSION
 from idtool.estimation.dataset.blocks import rounded_count
 from idtool.estimation.dataset.experiment import Progress, left_out_notice, prepare
 from idtool.estimation.reduced_experiment import save_reduction
-from idtool.estimation.saved_reduction import SavedReduction, read_reduction, reduction_bytes
+from idtool.estimation.saved_reduction import SavedReduction, parse_reduction, read_reduction, reduction_bytes
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
 
@@ -267,7 +267,7 @@ def _reductions(
         i = missing[k]
         if isinstance(outcome, bytes):
             _write(files[i], tasks[i].log_name, outcome)
-            reductions[i] = read_reduction(files[i])
+            reductions[i] = parse_reduction(files[i], outcome)
         else:
             failures[i] = outcome
             _raise_common_error(failures.values(), len(reductions), min(len(tasks), cluster.threads + 1))

@@ -1,19 +1,21 @@
 """`SavedReduction`: reduced logs on disk, from which models are fitted without the logs.
 
-A file is a ZIP archive that is not compressed, so that its size bounds what it takes to read it: ``header.json``, and
-arrays in numpy's format, of numbers only. Its name ends in ``.idr``.
+A file is a ZIP archive that is not compressed, so that its size bounds what it takes to read it: ``header.json``, with
+the shape of each array by name, and ``arrays.bin``, the numbers of all arrays one after the other, as float64 of the
+lowest byte first. Its name ends in ``.idr``.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +35,9 @@ from idtool.estimation.dataset.reduction import Factor
 
 CoefficientKey = tuple[str, str, str, tuple[float, ...]]  # effect, owner, name and instance
 
-_VERSION = 1  # of the format
-_HEADER = "header.json"
+_VERSION = 2  # of the format
+_HEADER, _ARRAYS = "header.json", "arrays.bin"
+_NUMBER = np.dtype("<f8")
 _MAX_HEADER = 64 << 20  # bytes
 _EXCLUDED = -1  # in place of the number of a block: the rows that don't count
 
@@ -109,29 +112,56 @@ def read_reduction(path: Path) -> SavedReduction:
         If it cannot be read, is no such file or damaged, or of a format that this version does not know.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            _check_size(path, archive)
-            return _read(path, archive)
+        with path.open("rb") as file:
+            return _parse(path, file, path.stat().st_size)
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
+
+
+def parse_reduction(path: Path, content: bytes) -> SavedReduction:
+    """Read the content of a file.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    content
+        Its bytes.
+
+    Raises
+    ------
+    LogError
+        If it is not that of such a file or damaged, or of a format that this version does not know.
+    """
+    return _parse(path, io.BytesIO(content), len(content))
+
+
+def _parse(path: Path, file: BinaryIO, size: int) -> SavedReduction:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            _check_size(size, archive)
+            return _read(path, archive)
     except (zipfile.BadZipFile, KeyError, ValueError, TypeError, IndexError, EOFError, NotImplementedError):
         raise LogError(path, "is not a reduction, or is damaged; make it again with idtool reduce") from None
 
 
 def _write(file: BinaryIO, reduction: SavedReduction) -> None:
+    shapes = {}
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr(_HEADER, json.dumps(_header(reduction), allow_nan=False))
-        for name, array in _arrays(reduction):
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
+        with archive.open(_ARRAYS, "w", force_zip64=True) as member:
+            for name, array in _arrays(reduction):
+                member.write(np.ascontiguousarray(array, _NUMBER).data.cast("B"))
+                shapes[name] = array.shape
+        header = {**_header(reduction), "arrays": shapes}
+        archive.writestr(_HEADER, json.dumps(header, allow_nan=False))
 
 
-def _check_size(path: Path, archive: zipfile.ZipFile) -> None:
+def _check_size(size: int, archive: zipfile.ZipFile) -> None:
     """Refuse an archive that is larger than its file."""
     members = archive.infolist()
     if any(member.compress_type != zipfile.ZIP_STORED for member in members):
         raise ValueError
-    if sum(member.file_size for member in members) > path.stat().st_size:
+    if sum(member.file_size for member in members) > size:
         raise ValueError
 
 
@@ -212,16 +242,18 @@ def _read(path: Path, archive: zipfile.ZipFile) -> SavedReduction:
         what = f"has version {header['version']} of the format; this is idtool {VERSION}, which reads {_VERSION}"
         raise LogError(path, f"{what}: make it again with idtool reduce")
 
-    def array(name: str) -> NDArray[Any]:
-        data = io.BytesIO(archive.read(f"{name}.npy"))
-        return np.lib.format.read_array(data, allow_pickle=False)
-
+    numbers = np.empty(archive.getinfo(_ARRAYS).file_size // _NUMBER.itemsize, _NUMBER)
+    with cast("io.BufferedIOBase", archive.open(_ARRAYS)) as member:
+        bytes_read = member.readinto(numbers.data.cast("B"))
+        if bytes_read != numbers.nbytes or member.read(1):  # at the end, its checksum is checked
+            raise ValueError
+    arrays = _split_arrays(header["arrays"], numbers)
     logs = []
     for i, log in enumerate(header["logs"]):
         parts: dict[str, list[ReducedPart]] = {"train": [], "held_out": []}
         for kind, of_kind in parts.items():
             for k, part in enumerate(log[kind]):
-                of_kind.append(_PartReader(f"{i}/{kind}/{k}", array).part(part))
+                of_kind.append(_PartReader(f"{i}/{kind}/{k}", arrays).part(part))
         logs.append(
             ReducedLog(
                 path=_path(log["path"]),
@@ -245,6 +277,21 @@ def _read(path: Path, archive: zipfile.ZipFile) -> SavedReduction:
     )
 
 
+def _split_arrays(shapes: Mapping[str, Sequence[int]], numbers: Array) -> dict[str, Array]:
+    """The arrays by name; ValueError if there are not as many numbers as their shapes say."""
+    arrays = {}
+    first = 0
+    for name, shape in shapes.items():
+        count = math.prod(shape)
+        if min(shape, default=0) < 0 or first + count > len(numbers):
+            raise ValueError
+        arrays[name] = numbers[first : first + count].reshape(shape)
+        first += count
+    if first != len(numbers):
+        raise ValueError
+    return arrays
+
+
 def _path(text: str) -> Path:
     """Path of a log; that of a URL which cannot be opened here is only a name."""
     try:
@@ -264,23 +311,23 @@ class _PartReader:
     Parameters
     ----------
     name
-        Name of its arrays.
-    array
-        Function that reads an array by its name.
+        Name of the part, with which those of its arrays begin.
+    arrays
+        All arrays by name.
     """
 
-    def __init__(self, name: str, array: Callable[[str], NDArray[Any]]) -> None:
+    def __init__(self, name: str, arrays: Mapping[str, Array]) -> None:
         self._name = name
-        self._array = array
+        self._arrays = arrays
 
     def part(self, header: Mapping[str, Any]) -> ReducedPart:
         """The part; ValueError or KeyError if something does not fit."""
-        is_compared = self._array(f"{self._name}/is_compared").astype(bool)
+        is_compared = self._numbers("is_compared").astype(bool)
         nv = len(is_compared)
         posture = Envelope.of_stretches(**{key: header["posture"][key] for key in ("start", "stop", "bins")})
         for curve in header["posture"]["curves"]:
             posture.low[curve], posture.high[curve] = self._numbers(f"posture/{curve}")
-        numbers = self._array(f"{self._name}/blocks").astype(int).tolist()
+        numbers = self._numbers("blocks").astype(int).tolist()
         factors = [self._factors(j) for j in range(nv)]
         blocks = {}
         for number, *of_joints in zip(numbers, *factors, strict=True):
@@ -304,14 +351,11 @@ class _PartReader:
         )
 
     def _numbers(self, name: str) -> Array:
-        array = self._array(f"{self._name}/{name}")
-        if array.dtype != np.float64:
-            raise ValueError
-        return array
+        return self._arrays[f"{self._name}/{name}"]
 
     def _factors(self, joint: int) -> list[Factor]:
         """The factors of a joint, block after block."""
-        lengths = self._array(f"{self._name}/{joint}/lengths").astype(int)
+        lengths = self._numbers(f"{joint}/lengths").astype(int)
         R = self._numbers(f"{joint}/R")
         if (lengths < 0).any() or lengths.sum() != len(R):
             raise ValueError

@@ -161,7 +161,7 @@ def header_with(**changes: object) -> Callable[[bytes], bytes]:
     return lambda data: json.dumps({**json.loads(data), **changes}).encode()
 
 
-ARRAY = "0/train/0/0/R.npy"
+ARRAY = "arrays.bin"
 DAMAGE: dict[str, Callable[[Path], bytes]] = {
     "empty": damaged(lambda data: b""),
     "text": damaged(lambda data: b"t,q_hip\n0,1\n"),

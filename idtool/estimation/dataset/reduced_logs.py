@@ -31,7 +31,7 @@ from idtool.estimation.dataset.reduction import Reduction
 _DRAWN_BYTES = 16 << 20  # that the rows which curves are drawn from may take, of all logs
 _SERIES_BYTES = 8 << 20  # that consecutive rows may take, of all logs
 _BINS = (24, 2000)  # fewest and most stretches of time in the curves of a log
-_MIN_SERIES_ROWS = 512  # of a log, however much memory they take
+_MIN_SERIES_ROWS = 256  # of a log, however much memory they take
 
 
 @dataclass(frozen=True)
