@@ -103,6 +103,7 @@ class _GivenLogs:
 
     @property
     def has_reductions(self) -> bool:
+        """True if some are files of `idtool reduce`."""
         return any(_reduction_path(log) for log in (*self.logs, *self.validate))
 
     def without_reductions(self) -> _GivenLogs:
@@ -130,7 +131,7 @@ def _prepare(
     skip_bad: bool,
     transform: Callable[[JointLog], JointLog] = lambda log: log,
 ) -> Experiment:
-    """Model and logs, which are read here."""
+    """Model and logs, which are read here; with ``skip_bad``, those that can be used."""
     if not skip_bad:
         training = [_record(log, model) for log in logs]
         validation = [_record(log, model) for log in validate]
@@ -242,7 +243,7 @@ def _log_file(log: LogSource) -> Path:
 
 
 def _reduction_path(log: LogSource) -> Path | None:
-    """The path of a file of `idtool reduce`, which is known by its name; None for unreduced."""
+    """The path of a file of `idtool reduce`, which is known by its name; None for a log."""
     if isinstance(log, Log) or not str(log).lower().endswith(REDUCTION_SUFFIX):
         return None
     return log_path(log)

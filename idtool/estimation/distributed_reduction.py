@@ -25,7 +25,7 @@ from idtool.common.processes import limit_processes, no_progress
 from idtool.common.urls import version_of
 from idtool.common.version import VERSION
 from idtool.estimation.dataset.blocks import rounded_count
-from idtool.estimation.dataset.experiment import Progress, left_out_notice, prepare
+from idtool.estimation.dataset.experiment import Progress, check_holdout, left_out_notice, prepare
 from idtool.estimation.reduced_experiment import save_reduction
 from idtool.estimation.saved_reduction import SavedReduction, parse_reduction, read_reduction, reduction_bytes
 from idtool.robot.config import Config
@@ -136,6 +136,7 @@ def reduce_log(task: LogTask) -> bytes | IdtoolError:
 
 
 def _reduced(task: LogTask) -> bytes:
+    """Content of the file with a log's reduction."""
     is_validated = task.holdout == 1
     logs, validate = ([], [task.path]) if is_validated else ([task.path], [])
     experiment = prepare(task.robot, task.config, logs, validate, 0.0 if is_validated else task.holdout)
@@ -181,6 +182,7 @@ def reduce_on_cluster(
     IdtoolError
         If a log, the configuration or the model cannot be used, or a file cannot be written.
     """
+    check_holdout(holdout)
     config = config.model_copy(update=_BOUNDS)
     holdouts = [0.0 if validate else holdout] * len(logs) + [1.0] * len(validate)
     log_count = rounded_count(len(holdouts))
@@ -306,9 +308,12 @@ def _raise_common_error(failures: Collection[Exception], successes: int, enough:
 
 def _log_error(path: Path, error: Exception) -> LogError:
     """Error about a log."""
-    return (
-        error if isinstance(error, LogError) else LogError(path, f"cannot be reduced: {error or type(error).__name__}")
-    )
+    if isinstance(error, LogError):
+        return error
+    reason = str(error) or type(error).__name__
+    if isinstance(error, IdtoolError):
+        return LogError(path, f"does not fit the configuration, as other logs do: {reason}")
+    return LogError(path, f"cannot be reduced: {reason}")
 
 
 def _check_failures(failures: Mapping[int, LogError], skip_bad: bool, is_enough: bool) -> None:

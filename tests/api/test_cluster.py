@@ -239,6 +239,12 @@ def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, tmp_path:
         assert refused.err.count("\n") == 1
 
 
+def test_a_holdout_of_everything_is_refused(scheduler: str) -> None:
+    refused = idtool("fit", LEG, TRAIN, "--cluster", scheduler, "--holdout", 1)
+    assert refused.code == 2
+    assert refused.err == "error: --holdout: 1 is not a fraction; give a number from 0 to below 1\n"
+
+
 def test_packages_that_are_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.setitem(sys.modules, "upath", None)

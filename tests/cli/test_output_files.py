@@ -296,5 +296,5 @@ def test_validate_keeps_whole_logs(tmp_path: Path, report: dict[str, Any]) -> No
     twice = fitted(tmp_path, LEG, TRAIN, "--validate", VALIDATE, "--validate", VALIDATE)
     samples = list(numbers(report["samples"]))
     assert list(numbers(twice["samples"])) == [samples[0], 2 * samples[1]]
-    assert twice["rms"]["train"] == report["rms"]["train"]
-    assert twice["rms"]["validation"] == pytest.approx(report["rms"]["validation"], rel=1e-12)
+    for part in ("train", "validation"):
+        assert twice["rms"][part] == pytest.approx(report["rms"][part], rel=1e-9)

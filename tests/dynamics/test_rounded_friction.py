@@ -137,6 +137,7 @@ def test_what_it_would_hide_is_found(tmp_path: Path) -> None:
     is_the_spring(diagnosed(tmp_path, STIFFNESS))
 
 
+@pytest.mark.slow
 def test_friction_that_is_rounded_off_in_speed_is_no_disagreement(tmp_path: Path) -> None:
     """It is fitted along, and the model is as it was."""
     found = diagnosed(tmp_path, 0.0, ROUNDING)

@@ -86,6 +86,7 @@ def test_band_ends_where_the_noise_of_the_gyroscope_counts_unless_it_is_given(fo
     assert "band_by_gyroscope" not in codes
 
 
+@pytest.mark.slow
 def test_written_logs_give_the_same_robot(folder: Path, tmp_path: Path) -> None:
     """A log with its sensors, written as CSV and as MCAP."""
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
@@ -141,6 +142,7 @@ def test_commands_for_a_fixed_base_say_so(folder: Path, command: str, call: Call
         call(model, folder / "hang.csv", folder)
 
 
+@pytest.mark.slow
 def test_motion_is_designed_for_a_held_base(folder: Path) -> None:
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
     result = idtool.excite(model, duration=3, iterations=1)

@@ -84,6 +84,7 @@ def test_it_is_in_units_of_the_noise(tmp_path: Path) -> None:
     assert one.rms == pytest.approx(twice.rms, rel=1e-9)  # N·m
 
 
+@pytest.mark.slow
 def test_the_command_beats_the_ordinary_design_and_says_so(tmp_path: Path) -> None:
     options = ("--iterations", "60", "--duration", "12", "--noise", "0.1")
     names = ("stribeck_friction:b", "presliding_hysteresis:b")

@@ -97,6 +97,7 @@ def test_errors_are_predicted_in_the_band_of_a_pose(folder: Path) -> None:
     assert np.median(errors[None] / errors[40.0]) > 1.3
 
 
+@pytest.mark.slow
 def test_logs_whose_torque_wrench_sensors_replace_are_refused(folder: Path) -> None:
     columns = record_quadruped("stand", 1.0).columns
     without_torque = {name: x for name, x in columns.items() if not name.startswith("tau_")}

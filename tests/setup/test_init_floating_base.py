@@ -81,6 +81,7 @@ def test_errors_are_those_of_the_configuration_by_hand(
     assert robot.mass == pytest.approx(TRUTH.mass, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_what_holds_the_robot_without_a_flag_is_found(tmp_path: Path, urdf: Path) -> None:
     logs = logs_of(tmp_path, {kind: record_quadruped(kind, 3.0) for kind in KINDS}, "contact_", "force_")
     contacts = first_config(urdf, logs, NO_TRIALS).data["contacts"]

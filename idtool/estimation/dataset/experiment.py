@@ -425,8 +425,7 @@ def prepare(
     IdtoolError
         If a log, the configuration or the model cannot be used.
     """
-    if not 0 <= holdout < 1:
-        raise ConfigError("--holdout", f"{holdout:g} is not a fraction; give a number from 0 to below 1")
+    check_holdout(holdout)
     if not logs and not validate:
         raise LogError("logs", "no log given; name at least one log file")
     check_wrench_sensors(robot, config)
@@ -479,6 +478,12 @@ def prepare(
         tuple(runs),
         comparison_notices=tuple(comparison_notices),
     )
+
+
+def check_holdout(holdout: float) -> None:
+    """Refuse a share of a log that leaves nothing of it for the fit, or is none; ConfigError."""
+    if not 0 <= holdout < 1:
+        raise ConfigError("--holdout", f"{holdout:g} is not a fraction; give a number from 0 to below 1")
 
 
 def _with_contacts(
