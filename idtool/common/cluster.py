@@ -24,7 +24,10 @@ Result = TypeVar("Result")
 
 _OPTION = "--cluster"
 _LOCAL = re.compile(r"local:(\d{1,4})")
-_ADDRESS = re.compile(r"((tcp|tls|ws|wss|ucx)://)?[^:/]+:\d{1,5}|((tcp|tls|ws|wss|ucx)://)\[[0-9a-fA-F:]+\]:\d{1,5}")
+_SCHEME = "(tcp|tls|ws|wss|ucx)://"
+_HOST = r"([^:/\[\]]+|\[[0-9a-fA-F:]+\])"  # in brackets, an IPv6 address
+_PORT = r"\d{1,5}"
+_ADDRESS = re.compile(f"({_SCHEME})?{_HOST}:{_PORT}")
 _SECONDS_TO_CONNECT = 10
 _SECONDS_TO_FIRST_WORKER = 120
 _RETRIES = 2  # of an evaluation that raises an error
