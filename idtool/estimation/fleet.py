@@ -1,6 +1,6 @@
 """`fit_fleet`: one model of the bodies of several robots of one type, with friction of each robot's own.
 
-Letters: theta (p,) coefficients of one robot; M_r (p, P) selects those of robot r from the P of all.
+Letters: theta (P,) coefficients of all robots, theta_r = M_r theta (p,) those of robot r.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from idtool.estimation.uncertainty.analysis import cluster_notices
 from idtool.estimation.uncertainty.cluster_robust import ClusterRobustEstimate, cluster_robust_estimate
 from idtool.robot.config.pool import FRICTION, Pool
 
-_MIN_RATIO = 4.0  # of a difference to its standard error, above which a robot stands out
-_MIN_DIFFERENCE = 0.3  # of the largest value
-_MIN_GAIN = 0.15  # of its error, that a robot's own bodies would take away
+_OUTLIER_Z_SCORE = 4.0  # difference over its deviation: standard errors, and scatter of the others
+_OUTLIER_DIFFERENCE = 0.3  # relative to the largest absolute value of all robots
+_OUTLIER_ERROR_REDUCTION = 0.15  # relative, by a model fitted to the robot's logs alone
 _DIAGNOSE = (
     "idtool diagnose with its model in robots/{robot}, its logs and --inertia fixed finds what it carries or lacks"
 )
@@ -73,9 +73,9 @@ class FleetRobot:
         Its name.
     fit
         The fleet's model with its own friction, as a fit: estimate, uncertainty and errors on its logs.
-    error
-        RMS error of this model on the robot's logs [N·m or N].
-    error_alone
+    rms_error
+        RMS torque error of this model, on held-out data if all robots have some, else on training data [N·m or N].
+    rms_error_alone
         The same of a model that was fitted to its logs alone.
     outliers
         How it differs from the others.
@@ -83,8 +83,8 @@ class FleetRobot:
 
     name: str
     fit: Fit
-    error: float
-    error_alone: float
+    rms_error: float
+    rms_error_alone: float
     outliers: tuple[Outlier, ...] = ()
 
 
@@ -113,7 +113,8 @@ def fit_fleet(fit: Fit, progress: Progress) -> Fleet:
     Parameters
     ----------
     fit
-        The fit of one model to all of its logs, which have been reduced; its prior and weight are those of the fleet.
+        The fit of one model to all logs, which have been reduced. Its prior is that of the fleet; the prior's weight is
+        chosen again if it was chosen from the data.
     progress
         Callback for the stage and its progress, from 0 to 1.
 
@@ -135,26 +136,28 @@ def fit_fleet(fit: Fit, progress: Progress) -> Fleet:
     fit = solver.fit  # with the weight of the prior for the fleet
     estimated = solver.estimate()
     robust = solver.uncertainty(estimated)
-    compares_held_out = all(any(log.held_out for log in logs) for logs in logs_by_robot.values())
+    all_have_held_out = all(any(log.held_out for log in logs) for logs in logs_by_robot.values())
     noise = estimated.noise.reshape(len(logs_by_robot), -1)
     robots = []
     for r, (name, logs) in enumerate(logs_by_robot.items()):
         progress("fitting the fleet", (r + 1) / (len(logs_by_robot) + 1))
         of_robot = replace(experiment, logs=tuple(logs))
-        own_fit = solver.with_errors(solver.fit_of(estimated, robust, model.selection(r), noise[r], of_robot), logs)
-        evaluation = own_fit.validation if compares_held_out else own_fit.train
-        error = _overall(evaluation.errors["identified"], experiment)
-        error_alone = _overall(solver.errors_alone(logs, compares_held_out), experiment)
-        robots.append(FleetRobot(name, own_fit, error, error_alone))
+        own_fit = solver.with_errors(
+            solver.fit_of_combination(estimated, robust, model.selection(r), noise[r], of_robot), logs
+        )
+        evaluation = own_fit.validation if all_have_held_out else own_fit.train
+        rms_error = _overall(evaluation.errors["identified"], experiment)
+        rms_error_alone = _overall(solver.errors_alone(logs, all_have_held_out), experiment)
+        robots.append(FleetRobot(name, own_fit, rms_error, rms_error_alone))
     mean_noise = np.sqrt(np.square(noise).mean(axis=0))
-    mean = solver.fit_of(estimated, robust, model.mean, mean_noise, experiment)
+    mean = solver.fit_of_combination(estimated, robust, model.averaging, mean_noise, experiment)
     mean = replace(
         mean,
         train=_merged(fit.train, [robot.fit.train for robot in robots]),
         validation=_merged(fit.validation, [robot.fit.validation for robot in robots]),
     )
     robots = [replace(robot, outliers=tuple(_outliers(robot, robots, model))) for robot in robots]
-    notices = (*_lasting_notices(fit, experiment), *_general_notices(mean), *cluster_notices(robust, solver.data))
+    notices = (*_other_notices(fit, experiment), *_model_notices(mean), *cluster_notices(robust, solver.data))
     return Fleet(replace(mean, notices=(*notices, *_outlier_notices(robots))), pool, tuple(robots))
 
 
@@ -260,22 +263,25 @@ class _FleetSolver:
         rng = np.random.default_rng(self._experiment.config.seed)
         return cluster_robust_estimate(self._model, self.data, estimated.noise, estimated.theta, self._equalities, rng)
 
-    def fit_of(
+    def fit_of_combination(
         self, estimated: Estimate, robust: ClusterRobustEstimate, M: Array, noise: Array, experiment: ReducedExperiment
     ) -> Fit:
-        """The fit with coefficients M theta, M (p, P), and their uncertainty; its errors are still those of `fit`."""
+        """The fit with coefficients M theta, M (p, P), and their covariance.
+
+        Its torque errors, ``train`` and ``validation``, are still those of `fit`: the caller replaces them.
+        """
         fit = self.fit
-        theta = M @ estimated.theta
+        combined_theta = M @ estimated.theta
         uncertainty = robust.uncertainty.of_combinations(M)
         analysis = replace(
             fit.uncertainty_analysis,
-            theta=theta,
+            theta=combined_theta,
             uncertainty=uncertainty,
             cluster_robust=replace(
                 robust, theta=M @ robust.theta, uncertainty=uncertainty, influence=robust.influence @ M.T
             ),
         )
-        own_estimate = replace(estimated, theta=theta, noise=noise)
+        own_estimate = replace(estimated, theta=combined_theta, noise=noise)
         return replace(fit, experiment=experiment, estimate=own_estimate, uncertainty_analysis=analysis)
 
     def with_errors(self, own_fit: Fit, logs: Sequence[ReducedLog]) -> Fit:
@@ -310,7 +316,7 @@ class _FleetSolver:
 
 
 def _merged(of_all: Evaluation, of_robots: Sequence[Evaluation]) -> Evaluation:
-    """The errors of all logs, each by the model of its robot; the measured torque is what it was."""
+    """Torque errors of all logs, each by the model of its robot; the measured torque's deviation does not change."""
     errors = {}
     for model, first in of_robots[0].errors.items():
         total = Errors.none(len(first.known_samples), 0)
@@ -326,25 +332,31 @@ def _merged(of_all: Evaluation, of_robots: Sequence[Evaluation]) -> Evaluation:
 
 
 def _outliers(robot: FleetRobot, robots: Sequence[FleetRobot], model: PooledModel) -> Iterator[Outlier]:
-    """Differences of a robot from the others; of two robots, none can be told to be the odd one by a value."""
+    """Differences of a robot from the others. Single values tell which robot is odd only among three or more."""
     others = [other for other in robots if other is not robot]
-    for i in np.flatnonzero(model.is_own).tolist() if len(others) > 1 else []:
-        value, error = _coefficient(robot, i)
-        values, errors = np.array([_coefficient(other, i) for other in others]).T
-        middle = float(np.median(values))
-        spread = _MAD_TO_SIGMA * float(np.median(np.abs(values - middle)))
-        scatter = np.sqrt(error**2 + float(np.median(errors)) ** 2 + spread**2)
-        difference = abs(value - middle)
-        largest = max(abs(value), float(np.abs(values).max()))
-        if difference > _MIN_RATIO * scatter and difference > _MIN_DIFFERENCE * largest:
-            c = model.of_one.coefficients[i]
-            own = " ± ".join(with_error(value, error))
-            text = f"{effect_name(c.effect)} of {c.owner} is {own} {c.unit}; the others have {_range_text(values)}"
-            yield Outlier(text)
-    gain = 1 - robot.error_alone / max(robot.error, np.finfo(float).tiny)
-    if gain > _MIN_GAIN:
-        better = f"a model fitted to its logs alone has {100 * gain:.0f} % less error"
+    if len(others) > 1:
+        yield from _coefficient_outliers(robot, others, model)
+    reduction = 1 - robot.rms_error_alone / max(robot.rms_error, np.finfo(float).tiny)
+    if reduction > _OUTLIER_ERROR_REDUCTION:
+        better = f"a model fitted to its logs alone has {100 * reduction:.0f} % less error"
         yield Outlier(f"{better}: its bodies probably differ, as with a load", _DIAGNOSE.format(robot=robot.name))
+
+
+def _coefficient_outliers(robot: FleetRobot, others: Sequence[FleetRobot], model: PooledModel) -> Iterator[Outlier]:
+    """Coefficients of a robot that differ from the median of the others by more than errors and scatter explain."""
+    for i in np.flatnonzero(model.is_own).tolist():
+        value, standard_error = _coefficient(robot, i)
+        values, standard_errors = np.array([_coefficient(other, i) for other in others]).T
+        median = float(np.median(values))
+        deviation_of_others = _MAD_TO_SIGMA * float(np.median(np.abs(values - median)))
+        median_error = float(np.median(standard_errors))
+        deviation = np.sqrt(standard_error**2 + median_error**2 + deviation_of_others**2)
+        difference = abs(value - median)
+        largest = max(abs(value), float(np.abs(values).max()))
+        if difference > _OUTLIER_Z_SCORE * deviation and difference > _OUTLIER_DIFFERENCE * largest:
+            c = model.single_robot.coefficients[i]
+            with_unit = f"{' ± '.join(with_error(value, standard_error))} {c.unit}"
+            yield Outlier(f"{effect_name(c.effect)} of {c.owner} is {with_unit}; the others have {_range_text(values)}")
 
 
 def _coefficient(robot: FleetRobot, index: int) -> tuple[float, float]:
@@ -359,14 +371,14 @@ def _range_text(values: Array) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _lasting_notices(fit: Fit, experiment: ReducedExperiment) -> list[Notice]:
-    """Notices of the fit of one model to all logs but for those about its errors and standard errors."""
+def _other_notices(fit: Fit, experiment: ReducedExperiment) -> list[Notice]:
+    """Notices of the fit of one model to all logs but for those that are made again for the fleet's model."""
     data = training_blocks(experiment, experiment.logs)
-    of_errors = {*_general_notices(fit), *cluster_notices(fit.uncertainty_analysis.cluster_robust, data)}
-    return [notice for notice in fit.notices if notice not in of_errors]
+    made_again = {*_model_notices(fit), *cluster_notices(fit.uncertainty_analysis.cluster_robust, data)}
+    return [notice for notice in fit.notices if notice not in made_again]
 
 
-def _general_notices(fit: Fit) -> list[Notice]:
+def _model_notices(fit: Fit) -> list[Notice]:
     """Notices about a model's bodies and errors."""
     evaluation = fit.validation if fit.has_held_out else fit.train
     return fit_notices(fit.experiment, fit, evaluation, fit.has_held_out)

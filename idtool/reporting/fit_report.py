@@ -386,8 +386,8 @@ def fleet_report(fleet: Fleet) -> FleetReport:
         robots[robot.name] = FleetRobotReport(
             logs=[str(path) for path in fit.experiment.log_paths],
             samples=fit.experiment.samples(held_out=False),
-            rms=robot.error,
-            rms_alone=robot.error_alone,
+            rms=robot.rms_error,
+            rms_alone=robot.rms_error_alone,
             friction={joint: friction_report(fit, joint) for joint in joints},
             outliers=[outlier.text for outlier in robot.outliers],
         )

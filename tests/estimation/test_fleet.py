@@ -199,4 +199,4 @@ def test_equalities_hold_for_every_robot() -> None:
         assert np.array_equal(own[~pooled.is_own], theta[: np.count_nonzero(~pooled.is_own)])
     assert isinstance(of_all, EqualityConstraints)
     assert len({c.key for c in pooled.coefficients}) == len(pooled.coefficients)
-    assert pooled.mean @ theta == pytest.approx(np.mean([pooled.selection(r) @ theta for r in range(3)], axis=0))
+    assert pooled.averaging @ theta == pytest.approx(np.mean([pooled.selection(r) @ theta for r in range(3)], axis=0))

@@ -3,7 +3,8 @@
 Each robot has rows of its own, so that each has its own noise. All else is the model of one robot: theta_r = M_r theta
 selects the coefficients of robot r from those of all.
 
-Letters: p coefficients of one robot, P of all; R robots; nv joints.
+Letters: theta (P,) coefficients of all robots, theta_r (p,) of one; R robots; nv joints of each. Joints, and the
+factors of a reduction, are those of the first robot, then those of the second, and so on.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class PooledModel(LinearModel):
 
     Attributes
     ----------
-    of_one
+    single_robot
         The equation of one of them.
     robots
         Their names.
@@ -38,19 +39,21 @@ class PooledModel(LinearModel):
         True for the coefficients of which each robot has its own, shape (p,).
     """
 
-    of_one: LinearModel
+    single_robot: LinearModel
     robots: tuple[str, ...]
     is_own: Mask
 
     @property
     @override
     def coefficients(self) -> tuple[Coefficient, ...]:
-        of_one = self.of_one.coefficients
-        all_of_them = [c for c, is_own in zip(of_one, self.is_own, strict=True) if not is_own]
+        shared: list[Coefficient] = []
+        own: list[Coefficient] = []
+        for coefficient, is_own in zip(self.single_robot.coefficients, self.is_own, strict=True):
+            (own if is_own else shared).append(coefficient)
+        pooled = shared
         for robot in self.robots:
-            own = [c for c, is_own in zip(of_one, self.is_own, strict=True) if is_own]
-            all_of_them += [replace(c, owner=f"{robot}: {c.owner}") for c in own]
-        return tuple(all_of_them)
+            pooled += [replace(c, owner=f"{robot}: {c.owner}") for c in own]
+        return tuple(pooled)
 
     @override
     def active(self) -> tuple[Indices, ...]:
@@ -58,7 +61,7 @@ class PooledModel(LinearModel):
 
     @cached_property
     def _pooled_active(self) -> tuple[Indices, ...]:
-        return tuple(indices[active] for indices in self.indices for active in self.of_one.active())
+        return tuple(indices[active] for indices in self.indices for active in self.single_robot.active())
 
     @cached_property
     def indices(self) -> tuple[Indices, ...]:
@@ -74,49 +77,55 @@ class PooledModel(LinearModel):
         return tuple(by_robot)
 
     def selection(self, robot: int) -> Array:
-        """M_r: a robot's coefficients from those of all, shape (p, P)."""
+        """M_r, which takes the coefficients of all robots to those of one, shape (p, P)."""
         return np.asarray(np.eye(len(self.coefficients))[self.indices[robot]])
 
     @property
-    def mean(self) -> Array:
-        """The mean robot's coefficients from those of all, shape (p, P)."""
+    def averaging(self) -> Array:
+        """Matrix that takes the coefficients of all robots to those of the mean robot, shape (p, P)."""
         return np.asarray(np.mean([self.selection(robot) for robot in range(len(self.robots))], axis=0))
 
-    def equalities(self, of_one: EqualityConstraints) -> EqualityConstraints:
-        """The equality constraints of one robot, for all of them; equations are on what they share."""
+    def equalities(self, of_single_robot: EqualityConstraints) -> EqualityConstraints:
+        """Equality constraints of one robot, for all of them: theta = K theta[free], and an equation for each robot.
+
+        Equations on shared coefficients alone are the same for all robots, and stand once.
+        """
         P = len(self.coefficients)
         is_free = np.zeros(P, dtype=bool)
         K = np.zeros((P, P))
-        for indices in self.indices:
-            is_free[indices[of_one.free]] = True
-            K[np.ix_(indices, indices[of_one.free])] = of_one.K
+        for indices in self.indices:  # shared coefficients depend on shared ones, so each robot sets the same rows
+            is_free[indices[of_single_robot.free]] = True
+            K[np.ix_(indices, indices[of_single_robot.free])] = of_single_robot.K
         free = np.flatnonzero(is_free)
         constraints = []
-        for constraint in of_one.constraints:
-            row = np.zeros(P)
-            row[self.indices[0]] = constraint.row
-            constraints.append(replace(constraint, row=row))
-        return EqualityConstraints(K[:, free], free, tuple(constraints), of_one.copies)
+        for constraint in of_single_robot.constraints:
+            is_shared = not constraint.row[self.is_own].any()
+            for indices in self.indices[:1] if is_shared else self.indices:
+                row = np.zeros(P)
+                row[indices] = constraint.row
+                constraints.append(replace(constraint, row=row))
+        return EqualityConstraints(K[:, free], free, tuple(constraints), of_single_robot.copies)
 
     def blocks(self, log: Blocks, robot: int) -> Blocks:
-        """A log of a robot, with its rows among those of all."""
-        nothing = tuple(Factor(np.zeros((0, len(active) + 1)), 0, 0.0) for active in self.of_one.active())
+        """A log of a robot with R·nv factors, robot after robot, of which those of the other robots have no rows."""
+        active = self.single_robot.active()
+        without_rows = tuple(Factor(np.zeros((0, len(own) + 1)), rows=0, independent=0.0) for own in active)
 
-        def among_all(reduction: Reduction) -> Reduction:
+        def with_other_robots(reduction: Reduction) -> Reduction:
             factors: list[Factor] = []
             for other in range(len(self.robots)):
-                factors += reduction if other == robot else nothing
+                factors += reduction if other == robot else without_rows
             return tuple(factors)
 
-        return log.map(among_all)
+        return log.map(with_other_robots)
 
 
-def pooled_model(of_one: LinearModel, robots: Sequence[str], own: Sequence[str]) -> PooledModel:
+def pooled_model(single_robot: LinearModel, robots: Sequence[str], own: Sequence[str]) -> PooledModel:
     """The equation of several robots.
 
     Parameters
     ----------
-    of_one
+    single_robot
         The equation of one of them.
     robots
         Their names.
@@ -127,9 +136,9 @@ def pooled_model(of_one: LinearModel, robots: Sequence[str], own: Sequence[str])
     if FRICTION in own_effects:
         own_effects |= {kind.id for kind in friction_types().values()}
     return PooledModel(
-        joints=tuple(f"{robot}: {joint}" for robot in robots for joint in of_one.joints),
+        joints=tuple(f"{robot}: {joint}" for robot in robots for joint in single_robot.joints),
         effects=(),
-        of_one=of_one,
+        single_robot=single_robot,
         robots=tuple(robots),
-        is_own=np.array([c.effect in own_effects for c in of_one.coefficients]),
+        is_own=np.array([c.effect in own_effects for c in single_robot.coefficients]),
     )
