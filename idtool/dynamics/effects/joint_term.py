@@ -35,6 +35,7 @@ from idtool.robot.config import EffectEntry
 from idtool.robot.model import RobotModel
 
 _FAST = 0.1  # change of x per sample above which f is averaged over the sample
+_STRAIGHT = 20.0  # argument beyond which log cosh is straight to the last digit
 _SURE = 3.0  # deadbands beyond which the rounded sign is ±1 to half a percent
 
 
@@ -183,13 +184,17 @@ def sample_mean(f: Array, x: Array, integral: Callable[[Array], Array]) -> Array
     change = np.diff(edges)
     fast = np.abs(change) > _FAST
     mean = f.copy()
-    mean[fast] = np.diff(integral(edges))[fast] / change[fast]
+    mean[fast] = (integral(edges[1:][fast]) - integral(edges[:-1][fast])) / change[fast]
     return mean
 
 
 def log_cosh(x: Array) -> Array:
     """Integral of tanh, up to a constant."""
-    return np.asarray(np.logaddexp(x, -x))
+    magnitude = np.abs(x)
+    integral = magnitude.copy()
+    is_curved = magnitude < _STRAIGHT
+    integral[is_curved] += np.log1p(np.exp(-2 * magnitude[is_curved]))
+    return integral
 
 
 class JointTerms(JointEffect):

@@ -52,15 +52,17 @@ class ExtremeRows:
         quantities
             What they are chosen by, shape (n,) each.
         """
-        if not len(bins):
-            return
-        starts = np.flatnonzero(np.diff(bins, prepend=-1))
-        ends = np.append(starts[1:], len(bins)) - 1
-        own_bins = bins[starts]
         for i, quantity in enumerate(quantities):
-            order = np.lexsort((quantity, bins))
-            for column, chosen in ((2 * i, order[starts]), (2 * i + 1, order[ends])):
-                self._replace(joint, column, own_bins, quantity[chosen], rows[:, chosen].T)
+            known = np.flatnonzero(np.isfinite(quantity))
+            if not len(known):
+                continue
+            values = quantity[known]
+            own_bins, starts, counts = np.unique(bins[known], return_index=True, return_counts=True)
+            for column, extreme in ((2 * i, np.minimum), (2 * i + 1, np.maximum)):
+                extremes = extreme.reduceat(values, starts)
+                places = np.flatnonzero(values == np.repeat(extremes, counts))
+                first_places = places[np.searchsorted(places, starts)]
+                self._replace(joint, column, own_bins, extremes, rows[:, known[first_places]].T)
 
     def merge(self, other: ExtremeRows) -> None:
         """Add the rows of another."""

@@ -18,6 +18,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.common.notice import Notice
+from idtool.common.processes import in_processes
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.simulation import simulate
@@ -30,6 +31,7 @@ _LONGEST = 120.0  # s of open-loop motion that are simulated; of a longer log, w
 _DRAWN = 1000  # stretches of time in which the least and greatest position are drawn
 
 Kind = Literal["open_loop", "closed_loop"]
+_Job = tuple[Signals, Sequence[slice]]  # windows of a log to simulate
 
 
 @dataclass
@@ -157,40 +159,80 @@ def evaluate_rollouts(
     jobs, available = _windows(parts, window, closed)
     if contacts is not None and not jobs:
         return None
-    errors = {name: RolloutError.none(experiment.model.joint_count) for name in (*models, "baseline")}
-    diverged = dict.fromkeys(models, 0)
-    failed: dict[str, str] = {}
-    traces = []
-    for signals, windows in jobs:
-        measured = [_MeasuredMotion(signals, part, closed) for part in windows]
-        envelope = Envelope(windows, signals.log.t, _DRAWN)
-        for motion in measured:
-            errors["baseline"].add(motion, *motion.baseline, signals.log.dt)
-            envelope.add(motion.t, {"measured": motion.q})
-        for name, theta in models.items():
-            if name in failed:
-                continue
-            mechanism = experiment.equation.mechanism(experiment.model, theta)
-            rollouts = _rollouts(mechanism, signals, windows, progress)
-            try:
-                for motion, (q, v, has_diverged) in zip(measured, rollouts, strict=True):
-                    errors[name].add(motion, q, v, signals.log.dt)
-                    diverged[name] += has_diverged
-                    envelope.add(motion.t, {name: q})
-            except ModelError as error:
-                failed[name] = str(error)
-                del errors[name]
-        traces.append(envelope.trace(signals.log.path.name))
+    baseline, traces = _measured(jobs, experiment.model.joint_count, closed)
+
+    def simulate_one(name: str, progress: Progress) -> _ModelRollouts:
+        return _simulate_model(experiment, name, models[name], jobs, closed, progress)
+
+    errors = {}
+    diverged = {}
+    failed = {}
+    for name, simulated in zip(models, in_processes(simulate_one, list(models), progress), strict=True):
+        diverged[name] = simulated.diverged
+        if simulated.failure is None:
+            errors[name] = simulated.error
+        else:
+            failed[name] = simulated.failure
+        for envelope, own in zip(traces, simulated.envelopes, strict=False):  # of a failure, fewer
+            envelope.merge(own)
+    errors["baseline"] = baseline
+    names = [signals.log.path.name for signals, _ in jobs]
     return RolloutEvaluation(
         kind="closed_loop" if closed else "open_loop",
         window=window,
         errors=errors,
-        traces=tuple(traces),
+        traces=tuple(envelope.trace(name) for name, envelope in zip(names, traces, strict=True)),
         windows=sum(len(windows) for _, windows in jobs),
         available=available,
         diverged=diverged,
         failed=failed,
     )
+
+
+@dataclass
+class _ModelRollouts:
+    """Rollouts of one model: errors, curves log by log, the number of rollouts that ran away, and why it fails."""
+
+    error: RolloutError
+    envelopes: list[Envelope] = field(default_factory=list)
+    diverged: int = 0
+    failure: str | None = None
+
+
+def _measured(jobs: Sequence[_Job], joints: int, closed: bool) -> tuple[RolloutError, list[Envelope]]:
+    """Errors of the baseline, and the measured positions for drawing, log by log."""
+    baseline = RolloutError.none(joints)
+    envelopes = []
+    for signals, windows in jobs:
+        envelope = Envelope(windows, signals.log.t, _DRAWN)
+        for part in windows:
+            motion = _MeasuredMotion(signals, part, closed)
+            baseline.add(motion, *motion.baseline, signals.log.dt)
+            envelope.add(motion.t, {"measured": motion.q})
+        envelopes.append(envelope)
+    return baseline, envelopes
+
+
+def _simulate_model(
+    experiment: Experiment, name: str, theta: Array, jobs: Sequence[_Job], closed: bool, progress: Progress
+) -> _ModelRollouts:
+    """Rollouts of a model with coefficients ``theta``, shape (p,), in the windows of logs."""
+    simulated = _ModelRollouts(RolloutError.none(experiment.model.joint_count))
+    for signals, windows in jobs:
+        mechanism = experiment.equation.mechanism(experiment.model, theta)
+        envelope = Envelope(windows, signals.log.t, _DRAWN)
+        rollouts = _rollouts(mechanism, signals, windows, progress)
+        simulated.envelopes.append(envelope)
+        try:
+            for part, (q, v, has_diverged) in zip(windows, rollouts, strict=True):
+                motion = _MeasuredMotion(signals, part, closed)
+                simulated.error.add(motion, q, v, signals.log.dt)
+                simulated.diverged += has_diverged
+                envelope.add(motion.t, {name: q})
+        except ModelError as error:
+            simulated.failure = str(error)
+            break
+    return simulated
 
 
 def _rollouts(
