@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.reduction import Factor, Reduction
 
 
@@ -55,9 +56,7 @@ class DrawnRows:
         """True if these are all samples that they were drawn from."""
         return len(self) == self.drawn_from
 
-    def with_rows(
-        self, rows: Sequence[Array], shares: Sequence[Array], worth: float, keys: Array, limit: int
-    ) -> DrawnRows:
+    def with_rows(self, rows: Sequence[Array], shares: Shares, worth: float, keys: Array, limit: int) -> DrawnRows:
         """Draw from further samples, too.
 
         Parameters
@@ -98,9 +97,7 @@ class DrawnRows:
 
     def _chosen(self, chosen: Indices) -> DrawnRows:
         rows = tuple(own[:, chosen] for own in self.rows)
-        return replace(
-            self, rows=rows, shares=self.shares[:, chosen], worth=self.worth[chosen], keys=self.keys[chosen]
-        )
+        return replace(self, rows=rows, shares=self.shares[:, chosen], worth=self.worth[chosen], keys=self.keys[chosen])
 
     def reduction(self, chosen: Indices) -> Reduction:
         """The R-factors of some of the samples."""
