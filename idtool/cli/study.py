@@ -8,6 +8,8 @@ import typer
 
 from idtool.cli.app import FURTHER_ANALYSIS, app
 from idtool.cli.options import (
+    REDUCTIONS,
+    ClusterOption,
     ConfigOption,
     HoldoutOption,
     JobsOption,
@@ -15,9 +17,11 @@ from idtool.cli.options import (
     LogsArgument,
     OutOption,
     QuietOption,
+    SkipBadOption,
     UrdfArgument,
     ValidateOption,
     command_line,
+    distribution_of,
     finish,
     output_folder,
 )
@@ -35,12 +39,15 @@ def study_command(
     validate: ValidateOption = None,
     draws: Annotated[int, typer.Option(min=5, help="Random draws for each number of samples.")] = 40,
     jobs: JobsOption = None,
+    cluster: ClusterOption = None,
+    skip_bad: SkipBadOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Compare all constraint sets, priors and estimators on the same data, and for different numbers of samples."""
+    from idtool.api.data import load_experiment
     from idtool.api.model import Model
-    from idtool.api.study import study
+    from idtool.api.study import study_experiment
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.study import show_study
 
@@ -48,7 +55,18 @@ def study_command(
     folder = output_folder(urdf, out)
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
-        result = study(model, logs, validate=validate or (), holdout=holdout, draws=draws, progress=progress)
-        result.save(folder, command_line())
+        with distribution_of(cluster, folder / REDUCTIONS, terminal, progress) as distribution:
+            experiment = load_experiment(
+                model,
+                logs,
+                validate or (),
+                holdout,
+                progress,
+                takes_reductions=True,
+                distribution=distribution,
+                skip_bad=skip_bad,
+            )
+        result = study_experiment(experiment, command_line(), progress, draws)
+        result.save(folder)
     show_study(terminal, result, folder)
     finish(terminal, result, {})

@@ -139,7 +139,7 @@ def save_reduction(
         holdout=holdout,
         notices=tuple(notices),
         files=experiment.sources,
-        logs=reduce_logs(experiment, progress, log_count, divides_held_out=True),
+        logs=reduce_logs(experiment, progress, log_count, divides_held_out=True, draws_rows=True),
     )
 
 

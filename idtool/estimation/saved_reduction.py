@@ -27,6 +27,7 @@ from idtool.common.outputs import OutputError
 from idtool.common.provenance import InputFile
 from idtool.common.urls import log_path
 from idtool.common.version import VERSION
+from idtool.estimation.dataset.drawn_rows import DrawnRows
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.extreme_rows import ExtremeRows
 from idtool.estimation.dataset.reduced_logs import ReducedLog
@@ -35,7 +36,7 @@ from idtool.estimation.dataset.reduction import Factor
 
 CoefficientKey = tuple[str, str, str, tuple[float, ...]]  # effect, owner, name and instance
 
-_VERSION = 2  # of the format
+_VERSION = 3  # of the format
 _HEADER, _ARRAYS = "header.json", "arrays.bin"
 _NUMBER = np.dtype("<f8")
 _MAX_HEADER = 64 << 20  # bytes
@@ -201,6 +202,7 @@ def _part_header(part: ReducedPart) -> dict[str, Any]:
         "rows": part.rows,
         "posture": {"start": posture.start, "stop": posture.stop, "bins": posture.bins, "curves": list(posture.low)},
         "series": len(part.series),
+        "drawn_from": part.drawn.drawn_from,
     }
 
 
@@ -221,6 +223,9 @@ def _arrays(reduction: SavedReduction) -> Iterator[tuple[str, NDArray[Any]]]:
         for curve, low in part.posture.low.items():
             yield f"{name}/posture/{curve}", np.stack([low, part.posture.high[curve]])
         yield f"{name}/extremes", part.extremes.extremes
+        yield f"{name}/drawn/shares", part.drawn.shares
+        yield f"{name}/drawn/worth", part.drawn.worth
+        yield f"{name}/drawn/keys", part.drawn.keys
         blocks = {**part.blocks, _EXCLUDED: part.excluded}
         yield f"{name}/blocks", np.array(list(blocks))
         for j in range(len(part.is_compared)):
@@ -230,6 +235,7 @@ def _arrays(reduction: SavedReduction) -> Iterator[tuple[str, NDArray[Any]]]:
             yield f"{name}/{j}/independent", np.array([factor.independent for factor in factors])
             yield f"{name}/{j}/R", np.concatenate([factor.R for factor in factors])
             yield f"{name}/{j}/extreme_rows", part.extremes.rows[j]
+            yield f"{name}/{j}/drawn", part.drawn.rows[j]
             for k, series in enumerate(part.series):
                 yield f"{name}/{j}/series_{k}", series[j]
 
@@ -344,6 +350,7 @@ class _PartReader:
             is_compared=is_compared,
             torque_sums=self._numbers("torque_sums"),
             squares_above_band=self._numbers("squares_above_band"),
+            drawn=self._drawn_rows([own.shape[2] - 1 for own in rows], int(header["drawn_from"])),
             samples=int(header["samples"]),
             rows=int(header["rows"]),
             blocks=blocks,
@@ -352,6 +359,15 @@ class _PartReader:
 
     def _numbers(self, name: str) -> Array:
         return self._arrays[f"{self._name}/{name}"]
+
+    def _drawn_rows(self, widths: Sequence[int], drawn_from: int) -> DrawnRows:
+        """Rows drawn at random, of as many numbers for each joint."""
+        rows = tuple(self._numbers(f"{j}/drawn") for j in range(len(widths)))
+        shares, worth, keys = (self._numbers(f"drawn/{name}") for name in ("shares", "worth", "keys"))
+        has_one_length = {len(keys), len(worth)} == {own.shape[1] for own in (*rows, shares)} == {len(keys)}
+        if not has_one_length or [len(own) for own in rows] != list(widths) or len(keys) > drawn_from:
+            raise ValueError
+        return DrawnRows(rows, shares, worth, keys, drawn_from)
 
     def _factors(self, joint: int) -> list[Factor]:
         """The factors of a joint, block after block."""

@@ -62,7 +62,7 @@ def study_report(study: Study) -> StudyReport:
             forgetting=None,
         ),
         **notice_fields([*_not_certified(study), *study.notices]),
-        logs=[str(run.signals.log.path) for run in experiment.runs],
+        logs=[str(path) for path in experiment.log_paths],
         urdf=str(experiment.model.robot.path),
         seconds=study.seconds,
     )

@@ -18,6 +18,7 @@ from paths import SAMPLES
 
 import idtool as package
 
+OTHERS = "give the log (fit, validate and study take reductions)"
 FIGURES = ("bodies", "friction", "friction_intervals", "rms", "rms_raw", "noise", "samples", "regularization", "nrms")
 UNCERTAINTY = ("torque_standard_error", "torque_standard_error_largest", "torque_undetermined", "independent_samples")
 
@@ -211,12 +212,12 @@ def test_a_later_format_is_named(reduction: Path, tmp_path: Path) -> None:
         package.fit(LEG, file)
 
 
-@pytest.mark.parametrize("command", ["diagnose", "study", "simulate", "inspect"])
+@pytest.mark.parametrize("command", ["diagnose", "adapt", "simulate", "inspect"])
 def test_other_commands_need_the_log(reduction: Path, tmp_path: Path, command: str) -> None:
     arguments = [reduction] if command == "inspect" else [LEG, reduction, "--out", tmp_path / "out.csv"]
     result = idtool(command, *arguments)
     assert result.code == 2
-    assert result.err == f"error: {reduction}: is a reduction, which has no samples; give the log\n"
+    assert result.err == f"error: {reduction}: is a reduction, which has no samples; {OTHERS}\n"
 
 
 def test_logs_and_reductions_are_fitted_together(reduction: Path, validation: Path) -> None:
@@ -229,6 +230,65 @@ def test_logs_and_reductions_are_fitted_together(reduction: Path, validation: Pa
     from_logs = package.fit(LEG, TRAIN, validate=VALIDATE, quick=True).to_json()
     for key in ("bodies", "rms", "samples"):
         assert_same_figures(validated[key], from_logs[key], key)
+
+
+@pytest.fixture
+def few_problems(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Studies with one prior, two curves, and each problem solved once."""
+    for name, value in (("LOCAL", {}), ("PRIORS", ("euclidean",)), ("CURVES", ("none", "full")), ("_REPEATS", 1)):
+        monkeypatch.setattr(f"idtool.estimation.study.study.{name}", value)
+
+
+@pytest.mark.usefixtures("few_problems")
+def test_a_study_is_that_of_the_logs(reduction: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From logs reduced one by one, of which fewer rows are kept in a study of both, and from one of each kind."""
+    monkeypatch.setattr("idtool.estimation.dataset.reduced_logs._DRAWN_ROWS", (64, 1000))
+    monkeypatch.setattr("idtool.estimation.dataset.reduced_logs._DRAWN_BYTES", 1 << 20)
+    files = [tmp_path / "train.idr", tmp_path / "validate.idr"]
+    for log, file in zip((TRAIN, VALIDATE), files, strict=True):
+        package.reduce(LEG, log, file)
+    expected = package.study(LEG, [TRAIN, VALIDATE], draws=5).to_json()
+    assert expected["learning"]["counts"][-2:] < [1000, 3000]  # not all rows can be drawn
+    assert expected["adaptation"]["error"]
+    for logs in (files, [TRAIN, files[1]]):
+        result = package.study(LEG, logs, draws=5)
+        own = result.to_json()
+        for key in ("learning", "samples", "band_hz", "logs"):
+            assert_same_figures(own[key], expected[key], key)
+        for kind in ("sets", "estimators"):
+            for name, entry in expected[kind].items():
+                for figure in ("rms", "masses", "violations", "worst_margin"):
+                    if figure in entry:
+                        assert_same_figures(own[kind][name][figure], entry[figure], f"{name} {figure}")
+        assert own["adaptation"] == {"t": [], "error": {}, "time_to_10_percent": {}, "forgetting": None}
+        (notice,) = [notice for notice in result.notices if notice.code == "online_left_out"]
+        assert notice.advice == "give the logs, or use idtool adapt"
+
+
+@pytest.mark.usefixtures("few_problems")
+def test_the_page_of_a_study_of_reductions(reduction: Path, validation: Path, tmp_path: Path) -> None:
+    """Without the convergence of the online estimate."""
+    done = idtool("study", LEG, reduction, "--validate", validation, "--draws", 5, "--out", tmp_path)
+    assert done.code == 0
+    assert "Online: " not in done.out
+    page = (tmp_path / "study.html").read_text()
+    assert "<h2>Constraint sets</h2>" in page
+    assert "<h2>Online</h2>" not in page
+    report = json.loads((tmp_path / "study.json").read_text())
+    assert report["samples"]["validation"] > report["samples"]["train"] * 0.9
+
+
+@pytest.mark.usefixtures("few_problems")
+def test_a_study_leaves_out_bad_logs(reduction: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.csv"
+    bad.write_text("t,q_hip\n0,1\n")
+    arguments = ("study", LEG, reduction, VALIDATE, bad, "--draws", 5, "--out", tmp_path / "out", "--quiet")
+    refusal = idtool(*arguments)
+    assert (refusal.code, refusal.err.count("\n")) == (2, 1)
+    done = idtool(*arguments, "--skip-bad", "--json")
+    assert done.code == 0
+    assert done.json["logs"] == [str(TRAIN), str(VALIDATE)]
+    assert [notice["subject"] for notice in done.json["notices"] if notice["code"] == "log_left_out"] == ["bad.csv"]
 
 
 def test_a_validation_is_that_on_the_log(validation: Path, tmp_path: Path) -> None:

@@ -16,13 +16,24 @@ from scipy.stats import chi2
 
 from idtool.common import processes
 from idtool.common.exceptions import LogError, SolverError
+from idtool.estimation.dataset.drawn_rows import DrawnRows
 from idtool.estimation.dataset.experiment import Experiment, Run, prepare
+from idtool.estimation.dataset.reduced_logs import reduce_logs
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
 from idtool.estimation.dataset.weights import free_noise
 from idtool.estimation.problem.estimate import solve
 from idtool.estimation.problem.problem import Problem, build_problem
 from idtool.estimation.study import learning
-from idtool.estimation.study.learning import Pool, counts, gather, held_out, learn, rms, violation
+from idtool.estimation.study.learning import (
+    StudyData,
+    counts,
+    gather,
+    held_out,
+    learn,
+    reduced_data,
+    rms,
+    violation,
+)
 from idtool.robot.config import read_config
 from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia
 from idtool.robot.sets import choose_set
@@ -43,9 +54,9 @@ def leg() -> Experiment:
 
 
 @pytest.fixture(scope="module")
-def gathered(leg: Experiment) -> tuple[Reduction, Pool]:
+def gathered(leg: Experiment) -> tuple[Reduction, DrawnRows]:
     """All its training data and the pool."""
-    return gather(leg, np.random.default_rng(0), silent)
+    return gather(leg, silent)
 
 
 def squared(factor: Factor) -> Array:
@@ -62,20 +73,20 @@ def assert_same(a: Reduction, b: Reduction, rtol: float = 1e-9) -> None:
         np.testing.assert_allclose(squared(x) / size / size[:, None], squared(y) / size / size[:, None], atol=rtol)
 
 
-def test_gathering_reduces_the_data_as_a_fit_does(leg: Experiment, gathered: tuple[Reduction, Pool]) -> None:
+def test_gathering_reduces_the_data_as_a_fit_does(leg: Experiment, gathered: tuple[Reduction, DrawnRows]) -> None:
     assert_same(gathered[0], leg.reduce(silent))
 
 
-def test_a_draw_of_all_samples_is_all_data(gathered: tuple[Reduction, Pool], rng: np.random.Generator) -> None:
+def test_a_draw_of_all_samples_is_all_data(gathered: tuple[Reduction, DrawnRows], rng: np.random.Generator) -> None:
     """In any order, at once or merged from parts."""
     total, pool = gathered
-    assert pool.drawn_from is None
-    samples = pool.blocks[0].shape[1]
-    assert all(block.shape[1] == samples for block in pool.blocks)
+    assert pool.are_all
+    samples = len(pool)
+    assert all(block.shape[1] == samples for block in pool.rows)
     order = rng.permutation(samples)
     assert_same(pool.reduction(order), total)
     parts = np.split(order, [1, 3, 10, 500])
-    merged = tuple(Factor(np.zeros((0, len(b))), 0, 0.0) for b in pool.blocks)
+    merged = tuple(Factor(np.zeros((0, len(b))), 0, 0.0) for b in pool.rows)
     for part in parts:
         merged = merge(merged, pool.reduction(part))
     assert_same(merged, total)
@@ -84,7 +95,8 @@ def test_a_draw_of_all_samples_is_all_data(gathered: tuple[Reduction, Pool], rng
 def test_samples_that_do_not_count_are_left_out_of_a_draw(rng: np.random.Generator) -> None:
     blocks = [rng.normal(size=(3, 20)), rng.normal(size=(2, 20))]
     shares = [(np.arange(20) % 2 == 0) * 1.0, (np.arange(20) < 5) * 1.0]
-    pool = Pool(blocks, shares, np.full(blocks[0].shape[1], 0.25))
+    worth, keys = np.full(20, 0.25), np.linspace(0, 1, 20)
+    pool = DrawnRows(tuple(blocks), np.stack(shares), worth, keys, 20)
     chosen = np.array([1, 2, 3, 4, 17, 18])
     first, second = pool.reduction(chosen)
     assert (first.rows, first.independent) == (3, 0.75)  # 2, 4, 18
@@ -93,7 +105,7 @@ def test_samples_that_do_not_count_are_left_out_of_a_draw(rng: np.random.Generat
     np.testing.assert_allclose(squared(first), own @ own.T, rtol=1e-12, atol=1e-12)
 
 
-def stream(sizes: list[int], runs: int = 1) -> Experiment:
+def stream(sizes: list[int], runs: int = 1, name: str = "log") -> Experiment:
     """Logs that hold nothing but the samples' numbers, in batches of these sizes; what `gather` takes of it."""
     starts = np.cumsum([0, *(sizes * runs)]).tolist()
 
@@ -110,7 +122,7 @@ def stream(sizes: list[int], runs: int = 1) -> Experiment:
         signals: Any = SimpleNamespace(
             low_pass=SimpleNamespace(redundancy=2.0),
             full_rate_low_pass=SimpleNamespace(edge=0),
-            log=SimpleNamespace(path=Path("log.csv"), dt=0.001, unknown_torque=()),
+            log=SimpleNamespace(path=Path(f"{name}{first}.csv"), dt=0.001, unknown_torque=()),
             batches=lambda _: batches(first),
         )
         return Run(signals, (slice(0, sum(sizes)),), ())
@@ -132,10 +144,10 @@ def test_the_pool_is_bounded_and_holds_every_sample_alike(monkeypatch: pytest.Mo
     total = sum(sizes)
     seen = np.zeros(total)
     for seed in range(repeats):
-        reduction, pool = gather(stream(sizes), np.random.default_rng(seed), silent)
-        numbers = pool.blocks[0][0].astype(int)
-        assert pool.blocks[0].shape == (2, 40)
-        assert pool.shares[0].shape == (40,)
+        reduction, pool = gather(stream(sizes, name=f"log {seed}"), silent)
+        numbers = pool.rows[0][0].astype(int)
+        assert pool.rows[0].shape == (2, 40)
+        assert pool.shares.shape == (1, 40)
         assert len(set(numbers.tolist())) == 40
         assert pool.drawn_from == total
         assert reduction[0].rows == total
@@ -150,14 +162,14 @@ def test_the_pool_is_bounded_and_holds_every_sample_alike(monkeypatch: pytest.Mo
 
 def test_a_pool_over_several_logs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each has its share, and a pool that is not full is everything."""
-    _, pool = gather(stream([30, 20], runs=3), np.random.default_rng(0), silent)
-    assert pool.drawn_from is None
-    assert sorted(pool.blocks[0][0]) == list(range(150))
+    _, pool = gather(stream([30, 20], runs=3), silent)
+    assert pool.are_all
+    assert sorted(pool.rows[0][0]) == list(range(150))
     monkeypatch.setattr(learning, "_POOL", 60)
     of_log = np.zeros(3)
     for seed in range(200):
-        _, pool = gather(stream([30, 20], runs=3), np.random.default_rng(seed), silent)
-        of_log += np.bincount(pool.blocks[0][0].astype(int) // 50, minlength=3)
+        _, pool = gather(stream([30, 20], runs=3, name=f"log {seed}"), silent)
+        of_log += np.bincount(pool.rows[0][0].astype(int) // 50, minlength=3)
     np.testing.assert_allclose(of_log / of_log.sum(), 1 / 3, atol=0.02)
 
 
@@ -173,8 +185,8 @@ def test_nothing_to_fit_to_is_said(sizes: list[int], said: str) -> None:
     experiment = stream(sizes)
     rows = experiment.equation.counted_rows
     experiment.equation.counted_rows = lambda batch: (rows(batch)[0], [np.zeros(5, dtype=bool)])  # type: ignore[method-assign]
-    with pytest.raises(LogError, match=f"^log.csv: {said}"):
-        gather(experiment, np.random.default_rng(0), silent)
+    with pytest.raises(LogError, match=f"^log0.csv: {said}"):
+        gather(experiment, silent)
 
 
 @pytest.mark.parametrize(
@@ -229,7 +241,9 @@ def problem_of(leg: Experiment, total: Reduction) -> Problem:
     return problem
 
 
-def test_the_violation_is_the_worst_bodys_least_eigenvalue(leg: Experiment, gathered: tuple[Reduction, Pool]) -> None:
+def test_the_violation_is_the_worst_bodys_least_eigenvalue(
+    leg: Experiment, gathered: tuple[Reduction, DrawnRows]
+) -> None:
     """In units of its mass and size, and 0 where all can be."""
     problem = problem_of(leg, gathered[0])
     bodies = len(leg.model.bodies)
@@ -243,18 +257,18 @@ def test_the_violation_is_the_worst_bodys_least_eigenvalue(leg: Experiment, gath
         assert violation(problem, z) == pytest.approx(-least, rel=1e-12)
 
 
-def learned(leg: Experiment, gathered: tuple[Reduction, Pool], draws: int, seed: int = 0, **changes: Any) -> Any:
+def learned(leg: Experiment, gathered: tuple[Reduction, DrawnRows], draws: int, seed: int = 0, **changes: Any) -> Any:
     total, pool = gathered
     state = stating(leg, total, ("none", "full"))
     validation = held_out(leg, silent)
     rng = np.random.default_rng(seed)
     pool = replace(pool, **changes)
-    return learn(pool, total, validation, leg.equation.active(), state, draws, rng, silent)
+    return learn(StudyData(total, pool, validation), leg.equation.active(), state, draws, rng, silent)
 
 
-def test_all_samples_leave_no_spread_and_give_the_fit(leg: Experiment, gathered: tuple[Reduction, Pool]) -> None:
+def test_all_samples_leave_no_spread_and_give_the_fit(leg: Experiment, gathered: tuple[Reduction, DrawnRows]) -> None:
     steps, curves = learned(leg, gathered, 2)
-    assert steps == counts(gathered[1].blocks[0].shape[1])
+    assert steps == counts(len(gathered[1]))
     total = gathered[0]
     for name, problem in stating(leg, total, ("none", "full")).items():
         curve = curves[name]
@@ -270,7 +284,7 @@ def test_all_samples_leave_no_spread_and_give_the_fit(leg: Experiment, gathered:
     assert (curves["none"].violation > 0).any()
 
 
-def test_the_same_seed_draws_the_same(leg: Experiment, gathered: tuple[Reduction, Pool]) -> None:
+def test_the_same_seed_draws_the_same(leg: Experiment, gathered: tuple[Reduction, DrawnRows]) -> None:
     """And all sets learn from the same draws: with another seed both change."""
     first, same, other = (learned(leg, gathered, 1, seed)[1] for seed in (0, 0, 1))
     for name in ("none", "full"):
@@ -278,18 +292,20 @@ def test_the_same_seed_draws_the_same(leg: Experiment, gathered: tuple[Reduction
         assert (first[name].median[:-1] != other[name].median[:-1]).all()
 
 
-def test_a_pool_that_is_not_everything_ends_with_everything(leg: Experiment, gathered: tuple[Reduction, Pool]) -> None:
-    samples = 2 * gathered[1].blocks[0].shape[1]
+def test_a_pool_that_is_not_everything_ends_with_everything(
+    leg: Experiment, gathered: tuple[Reduction, DrawnRows]
+) -> None:
+    samples = 2 * len(gathered[1])
     steps, curves = learned(leg, gathered, 1, drawn_from=samples)
     assert steps[-1] == samples
-    assert steps[:-1] == counts(gathered[1].blocks[0].shape[1])
+    assert steps[:-1] == counts(len(gathered[1]))
     for curve in curves.values():
         assert len(curve.median) == len(steps)
         assert curve.lower[-1] == curve.upper[-1]
 
 
 def test_draws_that_are_not_solved_are_counted_and_left_out(
-    leg: Experiment, gathered: tuple[Reduction, Pool], monkeypatch: pytest.MonkeyPatch
+    leg: Experiment, gathered: tuple[Reduction, DrawnRows], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every second one, and at the end all of them."""
     calls = 0
@@ -326,10 +342,10 @@ def test_the_curves_are_statistics_of_the_draws(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(processes, "process_count", lambda: 1)  # a copy of the process has its own list
     monkeypatch.setattr(learning, "_outcome", outcome)
     rows = np.stack([np.arange(10.0), np.ones(10)])
-    pool = Pool([rows], [np.ones(10)], np.ones(10))
+    pool = DrawnRows((rows,), np.ones((1, 10)), np.ones(10), np.linspace(0, 1, 10), 10)
     state: Any = {name: lambda data, name=name: (name, data[0].rows) for name in errors}
     total = pool.reduction(np.arange(10))
-    steps, curves = learn(pool, total, total, (np.arange(1),), state, 7, np.random.default_rng(0), silent)
+    steps, curves = learn(StudyData(total, pool, total), (np.arange(1),), state, 7, np.random.default_rng(0), silent)
     assert steps == [1, 3, 10]
     a, b = (np.array(errors[name][:7]) for name in ("a", "b"))  # one parameter: no count has more draws
     for made_up, curve in ((a, curves["a"]), (b, curves["b"])):
@@ -348,3 +364,15 @@ def test_the_held_out_data_are_all_of_the_validation_log(leg: Experiment) -> Non
             blocks, _ = leg.equation.filtered_rows(batch)
             total = merge(total, tuple(Factor.from_columns(block) for block in blocks))
     assert_same(held_out(leg, silent), total)
+
+
+def test_data_of_reduced_logs_are_those_of_the_logs(leg: Experiment, gathered: tuple[Reduction, DrawnRows]) -> None:
+    """All training data, all samples of them, and the held-out data."""
+    data = reduced_data(leg, reduce_logs(leg, silent, draws_rows=True))
+    total, pool = gathered
+    assert data.pool.are_all
+    assert len(data.pool) == len(pool)
+    assert_same(data.total, total)
+    assert_same(data.pool.reduction(np.arange(len(pool))), total)
+    for own, expected in zip(data.validation, held_out(leg, silent), strict=True):
+        np.testing.assert_allclose(squared(own), squared(expected), rtol=1e-9, atol=1e-9)

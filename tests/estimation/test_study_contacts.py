@@ -104,10 +104,10 @@ def test_held_out_rows_of_a_floating_base_are_those_of_the_evaluation(
 
 def test_samples_of_a_floating_base_are_all_of_the_training_data(folder: Path) -> None:
     experiment = quadruped(folder, ["stand.csv", "hang.csv"], ["hang.csv"])
-    total, pool = gather(experiment, np.random.default_rng(0), silent)
+    total, pool = gather(experiment, silent)
     expected = experiment.reduce(silent)
-    drawn = pool.reduction(np.arange(pool.blocks[0].shape[1]))
-    assert pool.drawn_from is None
+    drawn = pool.reduction(np.arange(len(pool)))
+    assert pool.are_all
     for data in (total, drawn):
         for own, theirs in zip(data, expected, strict=True):
             assert own.rows == pytest.approx(theirs.rows)

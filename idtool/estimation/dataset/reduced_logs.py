@@ -11,6 +11,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.data.batches import Batches
 from idtool.data.signals import Batch
+from idtool.dynamics.regressor import LinearModel
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.blocks import (
     Blocks,
@@ -21,6 +22,7 @@ from idtool.estimation.dataset.blocks import (
     most_blocks,
     rounded_count,
 )
+from idtool.estimation.dataset.drawn_rows import DrawnRows, row_keys, uniform_draw
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.extreme_rows import ROWS_PER_BIN
@@ -28,8 +30,10 @@ from idtool.estimation.dataset.passes import LogPart, read_through
 from idtool.estimation.dataset.reduced_part import ReducedPart
 from idtool.estimation.dataset.reduction import Reduction
 
-_DRAWN_BYTES = 16 << 20  # that the rows which curves are drawn from may take, of all logs
+_CURVE_BYTES = 16 << 20  # that the rows which curves are drawn from may take, of all logs
 _SERIES_BYTES = 8 << 20  # that consecutive rows may take, of all logs
+_DRAWN_BYTES = 8 << 20  # that rows drawn at random may take, of all logs
+_DRAWN_ROWS = (64, 4096)  # fewest, however much memory they take, and most rows drawn at random from a log
 _BINS = (24, 2000)  # fewest and most stretches of time in the curves of a log
 _MIN_SERIES_ROWS = 256  # of a log, however much memory they take
 
@@ -87,7 +91,11 @@ def is_reducible(experiment: Experiment) -> bool:
 
 
 def reduce_logs(
-    experiment: Experiment, progress: Progress, log_count: int | None = None, divides_held_out: bool = False
+    experiment: Experiment,
+    progress: Progress,
+    log_count: int | None = None,
+    divides_held_out: bool = False,
+    draws_rows: bool = False,
 ) -> tuple[ReducedLog, ...]:
     """Reduce logs in one pass.
 
@@ -102,6 +110,8 @@ def reduce_logs(
         are reduced one by one, on different machines, are so reduced as they are together. None: there are no others.
     divides_held_out
         If true, parts for validation are in blocks as well, so that they can be used for fitting.
+    draws_rows
+        If true, rows are drawn at random from each part, for a study of fits to fewer samples.
     """
     equation = experiment.equation
     runs = experiment.runs
@@ -111,12 +121,13 @@ def reduce_logs(
     batches = [experiment.batches(runs[i], held_out) for i, held_out in kinds]
     row_bytes = 8 * sum(len(active) + 2 for active in equation.active())
     bytes_per_bin = 2 * ROWS_PER_BIN * row_bytes  # in the parts for fitting and for validation
-    bins = int(np.clip(_DRAWN_BYTES // (bytes_per_bin * log_count), *_BINS))
+    bins = int(np.clip(_CURVE_BYTES // (bytes_per_bin * log_count), *_BINS))
     series_rows = max(_SERIES_BYTES // (row_bytes * log_count), _MIN_SERIES_ROWS)
     rows_of_series = []
     for (_, held_out), own in zip(kinds, batches, strict=True):
         rows_of_series.append({} if held_out else _spread_series(own, series_rows))
     rows_per_block = _rows_per_block(experiment, log_count)
+    drawn_limit = _drawn_limit(equation, log_count) if draws_rows else 0
 
     def reduce_part(part: LogPart[Batch]) -> ReducedPart:
         i, held_out = kinds[part.log]
@@ -124,9 +135,17 @@ def reduce_logs(
         reduced = ReducedPart.empty(equation, Envelope(run.parts(held_out), run.signals.log.t, bins))
 
         def rows() -> Iterator[tuple[list[Array], Shares]]:
+            first_row = part.first_row
             for batch, span in zip(part.batches, part.batches.spans, strict=True):
                 kept_rows = rows_of_series[part.log].get(span.start, 0)
-                yield reduced.add_batch(equation, run.signals, batch, kept_rows)
+                rows, shares = reduced.add_batch(equation, run.signals, batch, kept_rows)
+                if drawn_limit:
+                    in_band = [own[:-1] for own in rows]
+                    keys = row_keys(f"{run.signals.log.path.name} {held_out}", first_row, span.rows)
+                    worth = 1 / run.signals.low_pass.redundancy
+                    reduced.drawn = reduced.drawn.with_rows(in_band, shares, worth, keys, drawn_limit)
+                first_row += span.rows
+                yield rows, shares
 
         length = rows_per_block[i] if divides_held_out or not held_out else batches[part.log].rows
         reduced.blocks = dict(cut_into_blocks(rows(), length, run.signals.low_pass.redundancy, part.first_row))
@@ -136,7 +155,7 @@ def reduce_logs(
     stages = [f"reading {runs[i].signals.log.path.name}" for i, _ in kinds]
     for k, part in read_through(batches, reduce_part, stages, progress):
         if kinds[k] in parts:
-            parts[kinds[k]].merge(part)
+            parts[kinds[k]].merge(part, drawn_limit)
         else:
             parts[kinds[k]] = part
     reduced = []
@@ -185,6 +204,27 @@ def training_blocks(experiment: Experiment, logs: Sequence[ReducedLog]) -> tuple
         of_all_rows = merge_reductions([_without_last_column(part.counted) for part in log.train if part.blocks])
         blocks.append(Blocks(log.name, tuple(reductions), factor * log.block_rows * log.row_step, of_all_rows))
     return experiment.checked_blocks(blocks)
+
+
+def drawn_training_rows(experiment: Experiment, logs: Sequence[ReducedLog]) -> DrawnRows:
+    """Rows drawn at random from the training data, the same ones whether logs were reduced together or one by one.
+
+    Parameters
+    ----------
+    experiment
+        Model and data.
+    logs
+        Its logs, from which rows were drawn.
+    """
+    limit = _drawn_limit(experiment.equation, rounded_count(len(logs)))
+    draws = [part.drawn.least(limit) for log in logs for part in log.train]
+    return uniform_draw(draws, _DRAWN_ROWS[1])
+
+
+def _drawn_limit(equation: LinearModel, log_count: int) -> int:
+    """Largest number of rows that are drawn at random from a part of one of so many logs."""
+    numbers_per_row = sum(len(active) + 2 for active in equation.active()) + 2
+    return int(np.clip(_DRAWN_BYTES // (8 * numbers_per_row * log_count), *_DRAWN_ROWS))
 
 
 def _without_last_column(reduction: Reduction) -> Reduction:

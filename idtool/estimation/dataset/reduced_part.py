@@ -18,6 +18,7 @@ from idtool.data.signals import Batch, Signals
 from idtool.dynamics.regressor import LinearModel
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.blocks import merge_reductions
+from idtool.estimation.dataset.drawn_rows import DrawnRows, merged_draws
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.extreme_rows import ExtremeRows
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
@@ -41,6 +42,8 @@ class ReducedPart:
         Sums of the measured torque and of its square over the N samples, shape (2, nv).
     squares_above_band
         Sum of squares of the torque above the band over the N samples, shape (nv,).
+    drawn
+        Rows that were drawn at random; none if no draws were asked for.
     samples, rows
         Number of samples at the logged rate, N, and of filtered ones, n.
     blocks
@@ -55,6 +58,7 @@ class ReducedPart:
     is_compared: Mask
     torque_sums: Array
     squares_above_band: Array
+    drawn: DrawnRows
     samples: int = 0
     rows: int = 0
     blocks: dict[int, Reduction] = field(default_factory=dict)
@@ -80,6 +84,7 @@ class ReducedPart:
             is_compared=np.zeros(nv, dtype=bool),
             torque_sums=np.zeros((2, nv)),
             squares_above_band=np.zeros(nv),
+            drawn=DrawnRows.empty(equation.active()),
         )
 
     @cached_property
@@ -92,8 +97,16 @@ class ReducedPart:
         """R-factors of [Y_j, tau_j, above_j] of all rows."""
         return merge_reductions([self.excluded, self.counted] if self.blocks else [self.excluded])
 
-    def merge(self, other: ReducedPart) -> None:
-        """Merge the next batches of the same part of the log into this one, in place."""
+    def merge(self, other: ReducedPart, drawn_limit: int) -> None:
+        """Merge the next batches of the same part of the log into this one, in place.
+
+        Parameters
+        ----------
+        other
+            The batches.
+        drawn_limit
+            Largest number of rows that are drawn at random from both.
+        """
         for number, block in other.blocks.items():
             self.blocks[number] = merge(self.blocks[number], block) if number in self.blocks else block
         self.__dict__.pop("counted", None)
@@ -103,6 +116,7 @@ class ReducedPart:
         self.is_compared |= other.is_compared
         self.torque_sums += other.torque_sums
         self.squares_above_band += other.squares_above_band
+        self.drawn = merged_draws([self.drawn, other.drawn], drawn_limit)
         self.samples += other.samples
         self.rows += other.rows
         self.series += other.series

@@ -1,20 +1,24 @@
 """The validation error against the number of training samples, for several constraint sets: the paper's Fig. 5.
 
-The log is read once: its samples' rows go into a pool of bounded size, and a draw of n samples is the R-factor of n of
-them, merged from that of fewer.
+Samples of all logs are in a pool of bounded size, and a draw of n samples is the R-factor of n of them, merged from
+that of fewer. Samples are drawn, not blocks of time: neighbouring samples repeat each other, so that a block
+would have to be very short for less data than parameters, where the sets differ.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import SolverError
 from idtool.common.processes import shared_among_processes
+from idtool.estimation.dataset.blocks import merge_reductions
+from idtool.estimation.dataset.drawn_rows import DrawnRows, row_keys
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
+from idtool.estimation.dataset.reduced_logs import ReducedLog, drawn_training_rows, training_blocks
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
 from idtool.estimation.evaluation.held_out_offsets import held_out_offsets, with_further_effects
 from idtool.estimation.evaluation.torque_errors import overall_rms
@@ -29,34 +33,22 @@ _STEPS = (1, 3)  # times a power of ten: the counts
 
 
 @dataclass(frozen=True)
-class Pool:
-    """Rows of single samples.
+class StudyData:
+    """The data of a study.
 
     Attributes
     ----------
-    blocks
-        Per joint, columns and torque in the band, shape (m_j + 1, samples).
-    shares
-        Per joint, the share of each sample that counts, from 0 to 1, shape (samples,).
-    worth
-        Number of independent samples that each is worth, shape (samples,).
-    drawn_from
-        Number of samples that these were drawn from; None: these are all.
+    total
+        R-factors of all training data.
+    pool
+        Samples of them to draw from.
+    validation
+        R-factors of the held-out data, every sample counting for every joint that is compared in its log.
     """
 
-    blocks: list[Array]
-    shares: list[Array]
-    worth: Array
-    drawn_from: int | None = None
-
-    def reduction(self, chosen: Indices) -> Reduction:
-        """The R-factors of some of the samples."""
-        factors = []
-        for block, shares in zip(self.blocks, self.shares, strict=True):
-            own = shares[chosen]
-            factor = Factor.from_shares(block[:, chosen], own)
-            factors.append(replace(factor, independent=float(self.worth[chosen] @ own)))
-        return tuple(factors)
+    total: Reduction
+    pool: DrawnRows
+    validation: Reduction
 
 
 @dataclass(frozen=True)
@@ -86,7 +78,38 @@ class Curve:
     unsolved: int
 
 
-def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress) -> tuple[Reduction, Pool]:
+def read_data(experiment: Experiment, progress: Progress) -> StudyData:
+    """The data of a study from logs that cannot be reduced once for all models; two passes over the logs.
+
+    Raises
+    ------
+    LogError
+        If nothing is left to fit a joint to.
+    """
+    total, pool = gather(experiment, progress)
+    return StudyData(total, pool, held_out(experiment, progress))
+
+
+def reduced_data(experiment: Experiment, logs: Sequence[ReducedLog]) -> StudyData:
+    """The data of a study from reduced logs, from which rows were drawn.
+
+    Raises
+    ------
+    LogError
+        If nothing is left to fit a joint to.
+    """
+    total = merge_reductions([log.total for log in training_blocks(experiment, logs)])
+    nothing = empty(experiment.equation.active())
+    validation = nothing
+    for part in [part for log in logs for part in log.held_out]:
+        compared = list(nothing)
+        for joint in np.flatnonzero(part.is_compared):
+            compared[joint] = part.comparison[joint].without_last_column()
+        validation = merge(validation, tuple(compared))
+    return StudyData(total, drawn_training_rows(experiment, logs), validation)
+
+
+def gather(experiment: Experiment, progress: Progress) -> tuple[Reduction, DrawnRows]:
     """The training data as R-factors, and samples drawn from it at random; one pass over the logs.
 
     Raises
@@ -94,38 +117,24 @@ def gather(experiment: Experiment, rng: np.random.Generator, progress: Progress)
     LogError
         If nothing is left to fit a joint to.
     """
-    total = empty(experiment.equation.active())
-    pool: Pool | None = None
-    keys, samples = np.zeros(0), 0
+    active = experiment.equation.active()
+    total = empty(active)
+    pool = DrawnRows.empty(active)
     numbers_per_sample = sum(factor.R.shape[1] for factor in total)
     size = min(_POOL, max(_POOL_NUMBERS // numbers_per_sample, 1))
     for run in experiment.runs:
-        stage = f"reading {run.signals.log.path.name}"
-        for batch in tracked(run.signals.batches(run.train), run.train, progress, stage):
-            blocks, counted = experiment.equation.counted_rows(batch)
-            shares = [share.astype(float) for share in counted]
-            indices = np.arange(blocks[0].shape[1])
-            worth = np.full(len(indices), 1 / run.signals.low_pass.redundancy)
-            new = Pool(blocks, shares, worth)
-            total = merge(total, new.reduction(indices))
-            samples += len(indices)
-            # Every sample draws a random key; the pool is those with the least ones.
-            keys = np.concatenate([keys, rng.random(len(indices))])
-            if pool is not None:
-                blocks = [np.concatenate(pair, axis=1) for pair in zip(pool.blocks, blocks, strict=True)]
-                shares = [np.concatenate(pair) for pair in zip(pool.shares, shares, strict=True)]
-                worth = np.concatenate([pool.worth, worth])
-            least = np.argsort(keys)[:size]
-            keys = keys[least]
-            pool = Pool(
-                blocks=[block[:, least] for block in blocks],
-                shares=[share[least] for share in shares],
-                worth=worth[least],
-                drawn_from=samples if samples > size else None,
-            )
+        name = run.signals.log.path.name
+        worth = 1 / run.signals.low_pass.redundancy
+        row = 0
+        for batch in tracked(run.signals.batches(run.train), run.train, progress, f"reading {name}"):
+            rows, shares = experiment.equation.counted_rows(batch)
+            count = rows[0].shape[1]
+            pairs = zip(rows, shares, strict=True)
+            factors = [Factor.from_shares(own, share.astype(float), 1 / worth) for own, share in pairs]
+            total = merge(total, tuple(factors))
+            pool = pool.with_rows(rows, shares, worth, row_keys(name, row, count), size)
+            row += count
     experiment.checked(total)
-    if pool is None:
-        raise AssertionError  # ruled out by the check
     return total, pool
 
 
@@ -160,9 +169,7 @@ def counts(samples: int) -> list[int]:
 
 
 def learn(
-    pool: Pool,
-    total: Reduction,
-    validation: Reduction,
+    data: StudyData,
     active: Sequence[Indices],
     problem_of: dict[str, Callable[[Reduction], Problem]],
     draws: int,
@@ -173,12 +180,9 @@ def learn(
 
     Parameters
     ----------
-    pool
-        Samples to draw from, each draw's larger counts around its smaller ones.
-    total
-        All training data, at the end of each curve.
-    validation
-        The data that the error is on.
+    data
+        Samples to draw from, each draw's larger counts around its smaller ones; all training data, at the end of each
+        curve; and the data that the error is on.
     active
         Per joint, its coefficients.
     problem_of
@@ -194,7 +198,8 @@ def learn(
     -------
     The counts of samples, and a curve a set.
     """
-    steps = counts(pool.blocks[0].shape[1])
+    pool = data.pool
+    steps = counts(len(pool))
     few = sum(count < int(np.max(np.concatenate(active))) for count in steps)
     total_draws = _FEW_SAMPLES_FACTOR * draws
     orders = [rng.permutation(steps[-1]) for _ in range(total_draws)]
@@ -202,11 +207,11 @@ def learn(
     def outcomes(draw: int, progress: Progress) -> Array:
         """Outcomes of each set with more and more samples of a draw, shape (sets, counts, 2)."""
         results = np.full((len(problem_of), len(steps), 2), np.nan)
-        data, first = empty(active), 0
+        drawn, first = empty(active), 0
         for k, count in enumerate(steps[: few if draw >= draws else None]):
-            data, first = merge(data, pool.reduction(orders[draw][first:count])), count
+            drawn, first = merge(drawn, pool.reduction(orders[draw][first:count])), count
             for result, build in zip(results, problem_of.values(), strict=True):
-                result[k] = _outcome(build(data), validation, active)
+                result[k] = _outcome(build(drawn), data.validation, active)
         progress("drawing samples", (draw + 1) / total_draws)
         return results
 
@@ -214,10 +219,10 @@ def learn(
     curves = {}
     for i, name in enumerate(problem_of):
         curves[name] = [by_draw[: total_draws if k < few else draws, i, k] for k in range(len(steps))]
-    if pool.drawn_from is not None:
+    if not pool.are_all:
         steps = [*steps, pool.drawn_from]
         for name, build in problem_of.items():
-            curves[name].append(np.array([_outcome(build(total), validation, active)]))
+            curves[name].append(np.array([_outcome(build(data.total), data.validation, active)]))
     first_set = next(iter(curves.values()))
     return steps, {name: _curve(columns, first_set) for name, columns in curves.items()}
 

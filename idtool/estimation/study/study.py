@@ -7,7 +7,7 @@ else are small problems on R-factors.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -16,8 +16,10 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.common.notice import Notice
-from idtool.estimation.command_delay import with_delay
+from idtool.common.processes import shared_among_processes
+from idtool.estimation.command_delay import CommandDelay, with_delay
 from idtool.estimation.dataset.experiment import NOT_SIMULATED, Experiment, Progress
+from idtool.estimation.dataset.reduced_logs import ReducedLog, is_reducible, reduce_logs
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.weights import free_noise, weighted_rows
 from idtool.estimation.evaluation.reduced_errors import TorqueEvaluator
@@ -27,8 +29,9 @@ from idtool.estimation.problem.certificate import Certificate
 from idtool.estimation.problem.estimate import solve, solve_locally
 from idtool.estimation.problem.local import LOCAL
 from idtool.estimation.problem.problem import Problem, build_problem
+from idtool.estimation.reduced_experiment import ReducedExperiment
 from idtool.estimation.row_noise import with_row_noise
-from idtool.estimation.study.learning import Curve, gather, held_out, learn
+from idtool.estimation.study.learning import Curve, learn, read_data, reduced_data
 from idtool.robot.config import WEAK_PRIOR
 from idtool.robot.inertia import PI_SIZE, smallest_eigenvalue
 from idtool.robot.sets import ConstraintSet, choose_set, constraint_sets
@@ -100,7 +103,7 @@ class Study:
     counts, curves, draws
         The validation error against numbers of samples.
     online
-        Remark 5.
+        Remark 5; empty from reductions.
     notices
         Plain sentences for the user.
     seconds
@@ -142,15 +145,23 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     started = time.perf_counter()
     if not experiment.samples(held_out=True):
         raise ConfigError("--holdout", "a study compares errors on held-out data; use a larger --holdout or --validate")
-    experiment, delay, _ = with_delay(_weakly_regularized(experiment), progress)
-    experiment = with_row_noise(experiment, progress)
-    validation = held_out(experiment, progress)
-    if not any(factor.rows for factor in validation):
+    experiment = _weakly_regularized(experiment)
+    delay: CommandDelay | None = None
+    logs: Sequence[ReducedLog] | None = None
+    if isinstance(experiment, ReducedExperiment):
+        logs = experiment.logs
+    else:
+        experiment, delay, _ = with_delay(experiment, progress)
+        experiment = with_row_noise(experiment, progress)
+        if is_reducible(experiment):
+            logs = reduce_logs(experiment, progress, draws_rows=True)
+    data = read_data(experiment, progress) if logs is None else reduced_data(experiment, logs)
+    if not any(factor.rows for factor in data.validation):
         what = "in the held-out data, unknown contact forces can explain all torques"
         raise ConfigError("--holdout", f"{what}; give logs with other motions with --validate")
     rng = np.random.default_rng(experiment.config.seed)
     equation = experiment.equation
-    total, pool = gather(experiment, rng, progress)
+    total = data.total
     noise = free_noise(equation, total, experiment.equalities)
     notices = [notice for notice in experiment.notices if notice.code not in NOT_SIMULATED]
     notices += delay.notices if delay else ()
@@ -168,18 +179,23 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     models = {"identified": sets[tightest].theta, "prior": equation.prior}
     models |= {f"set {name}": entry.theta for name, entry in sets.items()}
     models |= {name: entry.theta for name, entry in estimators.items()}
-    evaluator = TorqueEvaluator(experiment, progress)
+    evaluator = TorqueEvaluator(experiment, progress, logs)
     train_errors = evaluator.evaluate(models, held_out=False)
     validation_errors = evaluator.evaluate(models, held_out=True)
 
     drawn = {name: problem_of[name] for name in CURVES if name in problem_of}
-    counts, curves = learn(pool, total, validation, equation.active(), drawn, draws, rng, progress)
+    counts, curves = learn(data, equation.active(), drawn, draws, rng, progress)
     unsolved = [f"{name} {curve.unsolved}" for name, curve in curves.items() if curve.unsolved]
     if unsolved:
         message = f"some random draws could not be solved: {', '.join(unsolved)}"
         notices.append(Notice("draws_not_solved", "warning", None, message))
-    rows = weighted_rows(equation, total, noise)[:, :-1]
-    online = _online(experiment, list(drawn), sets[tightest].theta, rows, progress)
+    if isinstance(experiment, ReducedExperiment):
+        online = Online(np.zeros(0), {}, {})
+        message = "the convergence of the online estimate is left out: a reduction does not hold all samples"
+        notices.append(Notice("online_left_out", "note", None, message, "give the logs, or use idtool adapt"))
+    else:
+        rows = weighted_rows(equation, total, noise)[:, :-1]
+        online = _online(experiment, list(drawn), sets[tightest].theta, rows, progress)
     return Study(
         experiment=experiment,
         sets=sets,
@@ -262,10 +278,14 @@ def _estimators(experiment: Experiment, total: Reduction, noise: Array) -> dict[
 
 def _online(experiment: Experiment, names: list[str], target: Array, rows: Array, progress: Progress) -> Online:
     """Convergence of the adaptive estimator to the estimate from all data (Remark 5)."""
-    t: Array = np.zeros(0)
-    error: dict[str, Array] = {}
-    for name in names:
+
+    def errors(name: str, progress: Progress) -> tuple[Array, Array]:
+        """Times and relative errors with a set."""
         sets = [choose_set(body, name) for body in experiment.model.bodies]
         adaptation = adapt(experiment, sets, _FORGETTING, progress=progress)
-        t, error[name] = adaptation.t, convergence(adaptation, target, rows)
+        return adaptation.t, convergence(adaptation, target, rows)
+
+    by_set = shared_among_processes(errors, names, progress)
+    t = by_set[0][0]
+    error = {name: of_set for name, (_, of_set) in zip(names, by_set, strict=True)}
     return Online(t, error, {name: time_to(t, e) for name, e in error.items()})

@@ -23,6 +23,7 @@ from idtool.reporting.sections.study import (
     OnlineSection,
 )
 
+_ONLINE_SECTION = OnlineSection()
 _SECTIONS = (
     ("Findings", "study_findings.html"),
     ConstraintSetsSection(),
@@ -30,7 +31,7 @@ _SECTIONS = (
     ("Realizability against the number of samples", "study_violation.html"),
     ("Measured and predicted torque", "torques.html"),
     EstimatorsSection(),
-    OnlineSection(),
+    _ONLINE_SECTION,
     ("Origin of this report", "origin.html"),
 )
 _MAX_DIFFERENCE = 0.05  # what the sets' errors differ by where the curves have come together
@@ -98,9 +99,11 @@ def study_page(evaluation: Evaluation, report: StudyReport, command: str) -> str
         The command line that made it.
     """
     units = report.units
+    has_online_estimate = bool(report.adaptation.error)
+    sections = [section for section in _SECTIONS if section is not _ONLINE_SECTION or has_online_estimate]
     return render(
         f"{Path(report.urdf).stem}: comparison of constraint sets",
-        _SECTIONS,
+        sections,
         [],
         {},
         report=report,
@@ -108,7 +111,7 @@ def study_page(evaluation: Evaluation, report: StudyReport, command: str) -> str
         errors=learning_figure(report),
         advantages=advantage_figure(report),
         violations=violation_figure(report),
-        online_errors=online_figure(report),
+        online_errors=online_figure(report) if has_online_estimate else None,
         groups=rows_by_unit(units),
         learning=learning(report.learning),
         **_short_log_view(report.learning),

@@ -98,7 +98,7 @@ class StudyReport(ReproducibleResult):
     sets: Annotated[ReadOnly[SetReport], Keys("set")] = field("Results by constraint set.")
     estimators: Annotated[ReadOnly[EstimatorReport], Keys("estimator")] = field("Results by prior and local solver.")
     learning: LearningCurves = field("Errors as functions of the number of samples.")
-    adaptation: Convergence = field("The online estimate.")
+    adaptation: Convergence = field("The online estimate; empty for logs that were reduced.")
     logs: tuple[str, ...] = field("The logs.")
     urdf: str = field("The URDF.")
     seconds: float = field("Wall time [s].")

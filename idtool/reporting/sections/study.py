@@ -143,7 +143,9 @@ class OnlineSection(Section[StudyReport]):
     template = "study_online.html"
 
     @override
-    def table(self, report: StudyReport) -> Table:
+    def table(self, report: StudyReport) -> Table | None:
+        if not report.adaptation.error:
+            return None
         columns = [name_column("set"), Column("time", "s", help="Time after which the error remains below 10 %")]
         rows = []
         for name, seconds in report.adaptation.time_to_10_percent.items():

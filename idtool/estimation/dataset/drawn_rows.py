@@ -1,0 +1,155 @@
+"""`DrawnRows`: rows of the torque equation that are drawn at random from data of any length.
+
+Every row has a random key, and those with the least keys are kept: of parts of the data, these merge into those of all
+(a bottom-k sketch: Cohen & Kaplan, Summarizing data using bottom-k sketches, 2007). The keys follow from the name of
+the log and the number of the row, so that it does not matter which process reads it.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from idtool.common.arrays import Array, Indices
+from idtool.dynamics.row_filter import Shares
+from idtool.estimation.dataset.reduction import Factor, Reduction
+
+
+@dataclass(frozen=True)
+class DrawnRows:
+    """Rows of all joints at the same samples, in the order of their keys.
+
+    Attributes
+    ----------
+    rows
+        Per joint, columns and torque in the band [Y_j, tau_j], shape (m_j + 1, n).
+    shares
+        Share of each row that counts in a fit, from 0 to 1, shape (nv, n).
+    worth
+        Number of independent samples that each is worth, shape (n,).
+    keys
+        Random keys, ascending, shape (n,).
+    drawn_from
+        Number of samples that these were drawn from.
+    """
+
+    rows: tuple[Array, ...]
+    shares: Array
+    worth: Array
+    keys: Array
+    drawn_from: int
+
+    @staticmethod
+    def empty(active: Sequence[Indices]) -> DrawnRows:
+        """No rows, of joints with these coefficients."""
+        rows = tuple(np.zeros((len(columns) + 1, 0)) for columns in active)
+        return DrawnRows(rows, np.zeros((len(rows), 0)), np.zeros(0), np.zeros(0), 0)
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    @property
+    def are_all(self) -> bool:
+        """True if these are all samples that they were drawn from."""
+        return len(self) == self.drawn_from
+
+    def with_rows(self, rows: Sequence[Array], shares: Shares, worth: float, keys: Array, limit: int) -> DrawnRows:
+        """Draw from further samples, too.
+
+        Parameters
+        ----------
+        rows
+            Per joint [Y_j, tau_j], shape (m_j + 1, n).
+        shares
+            Per joint, the share of each row that counts, shape (n,).
+        worth
+            Number of independent samples that each is worth.
+        keys
+            Their keys, shape (n,).
+        limit
+            Largest number of samples to keep.
+        """
+        count = len(keys)
+        is_full = len(self) >= limit
+        highest = self.keys[limit - 1] if is_full and limit else 0.0
+        chosen = np.flatnonzero(keys < highest) if is_full else np.arange(count)
+        if not len(chosen):
+            return replace(self, drawn_from=self.drawn_from + count)
+        new = DrawnRows(
+            tuple(own[:, chosen] for own in rows),
+            np.stack([own[chosen].astype(float) for own in shares]),
+            np.full(len(chosen), worth),
+            keys[chosen],
+            count,
+        )
+        return merged_draws([self, new], limit)
+
+    def least(self, limit: int) -> DrawnRows:
+        """The samples with the least keys, up to a number of them."""
+        return self if len(self) <= limit else self._chosen(np.arange(limit))
+
+    def below(self, key: float) -> DrawnRows:
+        """The samples with keys up to one."""
+        return self._chosen(np.flatnonzero(self.keys <= key))
+
+    def _chosen(self, chosen: Indices) -> DrawnRows:
+        rows = tuple(own[:, chosen] for own in self.rows)
+        return replace(self, rows=rows, shares=self.shares[:, chosen], worth=self.worth[chosen], keys=self.keys[chosen])
+
+    def reduction(self, chosen: Indices) -> Reduction:
+        """The R-factors of some of the samples."""
+        factors = []
+        for rows, shares in zip(self.rows, self.shares, strict=True):
+            own = shares[chosen]
+            factor = Factor.from_shares(rows[:, chosen], own)
+            factors.append(replace(factor, independent=float(self.worth[chosen] @ own)))
+        return tuple(factors)
+
+
+def merged_draws(draws: Sequence[DrawnRows], limit: int) -> DrawnRows:
+    """The samples with the least keys of several draws, up to a number of them."""
+    keys = np.concatenate([draw.keys for draw in draws])
+    order = np.argsort(keys, kind="stable")[:limit]
+    of_joints = zip(*(draw.rows for draw in draws), strict=True)
+    return DrawnRows(
+        tuple(np.concatenate(own, axis=1)[:, order] for own in of_joints),
+        np.concatenate([draw.shares for draw in draws], axis=1)[:, order],
+        np.concatenate([draw.worth for draw in draws])[order],
+        keys[order],
+        sum(draw.drawn_from for draw in draws),
+    )
+
+
+def uniform_draw(draws: Sequence[DrawnRows], limit: int) -> DrawnRows:
+    """A draw in which every sample is as likely as any other, from draws of logs of different length.
+
+    What was left out of a draw has higher keys than its last one. Up to the lowest of these, all samples are known.
+
+    Parameters
+    ----------
+    draws
+        Those of the logs.
+    limit
+        Largest number of samples to keep.
+    """
+    known_up_to = min((draw.keys[-1] for draw in draws if len(draw) and not draw.are_all), default=np.inf)
+    return merged_draws([draw.below(known_up_to) for draw in draws], limit)
+
+
+def row_keys(name: str, first: int, count: int) -> Array:
+    """Random keys of consecutive rows of a log, uniform from 0 to 1, shape (count,).
+
+    Parameters
+    ----------
+    name
+        Name of the log, or of a part of it.
+    first
+        Number of rows before them.
+    count
+        Number of rows.
+    """
+    generator = np.random.PCG64(zlib.crc32(name.encode(errors="replace")))
+    return np.random.Generator(generator.advance(first)).random(count)
