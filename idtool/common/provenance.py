@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 _NUMERICAL = ("numpy", "scipy", "clarabel", "pin")  # libraries that figures may depend on
+_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,26 @@ def source_from_bytes(kind: str, path: Path, data: bytes) -> InputFile:
     return InputFile(kind, str(path), hashlib.sha256(data).hexdigest())
 
 
-def source_from_file(kind: str, path: Path) -> InputFile:
-    """A file that was read in blocks; OSError if it can no longer be read."""
-    with path.open("rb") as file:
-        return InputFile(kind, str(path), hashlib.file_digest(file, "sha256").hexdigest())
+def source_from_file(kind: str, path: Path, must_end: Callable[[], bool] = lambda: False) -> InputFile:
+    """A file that is read in blocks.
+
+    Parameters
+    ----------
+    kind, path
+        As in `InputFile`.
+    must_end
+        Function that tells from block to block if its hash is no longer needed; it is then of a part of the file.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+    digest = hashlib.sha256()
+    with path.open("rb", buffering=0) as file:
+        while (block := file.read(_BLOCK_BYTES)) and not must_end():
+            digest.update(block)
+    return InputFile(kind, str(path), digest.hexdigest())
 
 
 def provenance(sources: Sequence[InputFile]) -> dict[str, Any]:

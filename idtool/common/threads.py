@@ -1,4 +1,4 @@
-"""Evaluations in threads, for linear algebra on large matrices: numpy lets other threads run meanwhile.
+"""Evaluations in threads, for work that lets other threads run meanwhile: linear algebra, decompression, hashes.
 
 Threads share their memory, unlike the copies of a process in `processes`. They are of no use for what Python itself
 evaluates.
@@ -6,9 +6,14 @@ evaluates.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from dataclasses import dataclass
+from functools import partial
+from threading import Event
+from types import TracebackType
+from typing import Generic, NoReturn, TypeVar
 
 from idtool.common.memory import share_freed_memory
 from idtool.common.processes import process_count
@@ -17,6 +22,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _LEAST_WORK = 1 << 20  # entries of all items together, for which threads are worth their start
+_MAX_WAITING = 64  # jobs evaluated in advance, however small
 
 
 def in_threads(evaluate: Callable[[Item], Result], items: Sequence[Item], work: float = _LEAST_WORK) -> list[Result]:
@@ -37,3 +43,105 @@ def in_threads(evaluate: Callable[[Item], Result], items: Sequence[Item], work: 
     share_freed_memory()
     with ThreadPoolExecutor(count) as pool:
         return list(pool.map(evaluate, items))
+
+
+@dataclass(frozen=True)
+class Job(Generic[Result]):
+    """An evaluation that may take place in another thread.
+
+    Attributes
+    ----------
+    size
+        Memory that it takes, and its result [bytes].
+    evaluate
+        Function that gives the result.
+    """
+
+    size: int
+    evaluate: Callable[[], Result]
+
+
+def evaluated_ahead(jobs: Iterable[Job[Result]], max_size: int) -> Iterator[Result]:
+    """Results of jobs, in their order; those that come next are evaluated in a thread in the meantime.
+
+    Errors of the jobs, and of their iterator, are raised where the result would have been.
+
+    Parameters
+    ----------
+    jobs
+        The jobs.
+    max_size
+        Memory of the jobs that are evaluated in advance [bytes]; a larger one is evaluated when its turn comes.
+    """
+    if process_count() == 1:
+        for job in jobs:
+            yield job.evaluate()
+        return
+    pool = ThreadPoolExecutor(1)
+    started = _started(jobs, pool, max_size)
+    waiting: deque[tuple[int, Callable[[], Result]]] = deque()
+    waiting_size = 0
+    try:
+        while True:
+            while len(waiting) < _MAX_WAITING and waiting_size < max_size:
+                begun = next(started, None)
+                if begun is None:
+                    break
+                waiting.append(begun)
+                waiting_size += begun[0]
+            if not waiting:
+                return
+            size, result = waiting.popleft()
+            waiting_size -= size
+            yield result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _started(
+    jobs: Iterable[Job[Result]], pool: ThreadPoolExecutor, max_size: int
+) -> Iterator[tuple[int, Callable[[], Result]]]:
+    """Size of each job and function that gives its result; an error of the iterator is raised by the last one."""
+    try:
+        for job in jobs:
+            if job.size > max_size:
+                yield job.size, job.evaluate
+            else:
+                yield job.size, pool.submit(job.evaluate).result
+    except Exception as error:  # its turn comes after the jobs before it
+        yield 0, partial(_raise, error)
+
+
+def _raise(error: Exception) -> NoReturn:
+    raise error
+
+
+class BackgroundThread(Generic[Result]):
+    """An evaluation in a thread, begun at once; where there is none, when its result is asked for.
+
+    Parameters
+    ----------
+    evaluate
+        Function of another one, which tells it to end early as its result is no longer needed.
+    """
+
+    def __init__(self, evaluate: Callable[[Callable[[], bool]], Result]) -> None:
+        self._must_end = Event()
+        self._evaluate = partial(evaluate, self._must_end.is_set)
+        self._pool = ThreadPoolExecutor(1) if process_count() > 1 else None
+        self._future = self._pool.submit(self._evaluate) if self._pool is not None else None
+
+    def result(self) -> Result:
+        """Result of the evaluation; raises what it raises."""
+        return self._evaluate() if self._future is None else self._future.result()
+
+    def __enter__(self) -> BackgroundThread[Result]:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the thread, if it has not ended by itself."""
+        self._must_end.set()
+        if self._pool is not None:
+            self._pool.shutdown()

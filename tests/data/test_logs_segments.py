@@ -101,6 +101,7 @@ def test_errors(t: list[float], q: list[float], said: str) -> None:
 def test_memory_beyond_the_result_does_not_grow(tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("idtool.data.logs.sample_buffer._SPARE_BYTES", 1 << 16)
     monkeypatch.setattr("idtool.data.logs.table._BLOCK_BYTES", 1 << 18)
+    monkeypatch.setattr("idtool.data.logs.mcap_records._LOOK_AHEAD_BYTES", 1 << 16)
     beyond = {}
     for count in (40_000, 160_000):
         path = tmp_path / f"{count}{ending}"

@@ -27,7 +27,7 @@ import pkgutil
 import shlex
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol, cast
 
@@ -36,6 +36,7 @@ from idtool.common.input_files import REDUCTION_SUFFIX, missing_file_advice
 from idtool.common.names import printable, suggestion
 from idtool.common.outputs import OutputError, check_file
 from idtool.common.provenance import source_from_file
+from idtool.common.threads import BackgroundThread
 from idtool.common.urls import is_url, local_copy, log_path, without_secrets
 from idtool.data.logs.bag import METADATA, ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
 from idtool.data.logs.log import SIGNALS, JointLog, make_log
@@ -107,10 +108,14 @@ def read_log(
     if is_url(path):
         return _read_url(path, topic=topic, columns=columns, scale=scale, sensors=sensors, messages=messages)
     try:
-        log = _read(path, topic, columns, sensors, messages)
-        sources = [source_from_file("log", file) for file in log_files(path)]
         if path.is_dir():
-            sources.insert(0, source_from_file("bag metadata", path / METADATA))
+            log = _read(path, topic, columns, sensors, messages)
+            files = [source_from_file("log", file) for file in log_files(path)]
+            sources = [source_from_file("bag metadata", path / METADATA), *files]
+        else:
+            with BackgroundThread(partial(source_from_file, "log", path)) as hashing:
+                log = _read(path, topic, columns, sensors, messages)
+                sources = [hashing.result()]
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
     _apply_scale(log, scale)

@@ -12,6 +12,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from idtool.common.arrays import Indices
 from idtool.common.exceptions import LogError
+from idtool.common.threads import Job, evaluated_ahead
 from idtool.data.logs.size_limits import check_expanded_size
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -31,6 +33,8 @@ _BATCH = 4096  # messages decoded together
 _PAGE = 1 << 16  # bytes read at a time, from the end
 _MIN_ZEROS = 1024  # at the end of a file that count as padding
 _LOOSE_BYTES = 1 << 20  # of records outside chunks in one buffer
+_LOOK_AHEAD_BYTES = 8 << 20  # of chunks that are decompressed while the ones before are decoded
+_FIRST_RUN = 16  # messages that are first looked at for one length
 
 RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")  # start and end time, uncompressed size, CRC, length of the compression's name
@@ -46,6 +50,7 @@ HEAD = np.dtype(
     ]
 )
 MESSAGE_FIELDS = HEAD.itemsize - RECORD.size
+_RECORD_HEAD = np.dtype([("opcode", "u1"), ("length", "<u8")])
 
 
 @dataclass(frozen=True)
@@ -73,10 +78,30 @@ class RecordBatch:
         return at_every_byte[self.messages]
 
 
+@dataclass(frozen=True)
+class _Buffer:
+    """A run of records.
+
+    Attributes
+    ----------
+    start
+        Offset in the file.
+    data
+        Bytes of the records.
+    is_complete
+        False if the last record is cut off.
+    """
+
+    start: int
+    data: bytes
+    is_complete: bool = True
+
+
 class McapRecords:
     """The data section of an MCAP file.
 
-    Iterating raises LogError where the file is damaged anywhere but at its truncated end.
+    Iterating raises LogError where the file is damaged anywhere but at its truncated end. Chunks are decompressed in a
+    thread, a few ahead of the records that are asked for.
 
     Parameters
     ----------
@@ -103,32 +128,39 @@ class McapRecords:
         self.truncated = file.read(len(MAGIC)) != MAGIC or self._end < 2 * len(MAGIC)
 
     def __iter__(self) -> Iterator[RecordBatch]:
-        for start, buffer, is_complete in self._buffers():
+        for records in evaluated_ahead(self._buffers(), _LOOK_AHEAD_BYTES):
+            buffer = records.data
             definitions: list[int] = []
             messages: list[int] = []
+            last_length = -1
             offset = 0
             while len(buffer) - offset >= RECORD.size:
                 opcode, length = RECORD.unpack_from(buffer, offset)
-                next_offset = offset + RECORD.size + length
+                stride = RECORD.size + length
+                next_offset = offset + stride
                 if next_offset > len(buffer):
                     break
                 if opcode == MESSAGE:
                     if length < MESSAGE_FIELDS:
-                        raise self._damage_error(start)
-                    messages.append(offset)
+                        raise self._damage_error(records.start)
+                    if length == last_length:
+                        count = _messages_of_length(buffer, offset, length, _BATCH - len(messages))
+                        next_offset = offset + count * stride
+                    messages.extend(range(offset, next_offset, stride))
+                    last_length = length
                     if len(messages) == _BATCH:
                         yield RecordBatch(buffer, definitions, np.array(messages))
                         definitions, messages = [], []
                 elif opcode in (SCHEMA, CHANNEL):
                     definitions.append(offset)
                 offset = next_offset
-            if is_complete and offset != len(buffer):
-                raise self._damage_error(start)
+            if records.is_complete and offset != len(buffer):
+                raise self._damage_error(records.start)
             if definitions or messages:
                 yield RecordBatch(buffer, definitions, np.array(messages, dtype=np.intp))
 
-    def _buffers(self) -> Iterator[tuple[int, bytes, bool]]:
-        """Runs of records: their offset in the file, their bytes, and whether the last record is complete."""
+    def _buffers(self) -> Iterator[Job[_Buffer]]:
+        """Runs of records, chunks still to be decompressed."""
         loose = bytearray()  # records outside chunks
         loose_start = 0
         offset = self._file.seek(len(MAGIC))
@@ -144,9 +176,9 @@ class McapRecords:
                 raise self._damage_error(offset)
             if opcode == CHUNK:
                 if loose:
-                    yield loose_start, bytes(loose), True
+                    yield _loose_records(loose_start, loose)
                     loose.clear()
-                yield offset, self._chunk(offset, available, is_complete), is_complete
+                yield self._chunk(offset, available, is_complete)
             elif opcode in (SCHEMA, CHANNEL, MESSAGE) and is_complete:
                 self._check_size(offset, length)
                 if not loose:
@@ -156,24 +188,25 @@ class McapRecords:
                 break
             offset = self._file.seek(offset + length)
             if len(loose) >= _LOOSE_BYTES:
-                yield loose_start, bytes(loose), True
+                yield _loose_records(loose_start, loose)
                 loose.clear()
         if loose:
-            yield loose_start, bytes(loose), True
+            yield _loose_records(loose_start, loose)
 
-    def _chunk(self, offset: int, available: int, is_complete: bool) -> bytes:
-        """The decompressed records of a chunk with ``available`` bytes; of a truncated one, as many as possible."""
+    def _chunk(self, offset: int, available: int, is_complete: bool) -> Job[_Buffer]:
+        """The records of a chunk with ``available`` bytes; of a truncated one, as many as possible."""
+        nothing = Job(0, partial(_Buffer, offset, b"", is_complete))
         head = self._file.read(min(available, _CHUNK.size + _MAX_COMPRESSION_NAME + 8))
         if len(head) < _CHUNK.size:
             if is_complete:
                 raise self._damage_error(offset)
-            return b""
+            return nothing
         _, _, size, crc, name_length = _CHUNK.unpack_from(head)
         data_start = _CHUNK.size + name_length + 8
         if len(head) < data_start:
             if is_complete:
                 raise self._damage_error(offset)
-            return b""
+            return nothing
         compression = head[_CHUNK.size : data_start - 8]
         compressed_size = int.from_bytes(head[data_start - 8 : data_start], "little")
         if is_complete and data_start + compressed_size > available:
@@ -183,16 +216,20 @@ class McapRecords:
         check_expanded_size(self._path, self._expanded, self._size_on_disk)
         self._file.seek(offset + data_start)
         data = self._file.read(min(compressed_size, available - data_start))
-        try:
-            records = expand(compression, data, size)
-        except ValueError as error:
-            if not is_complete:
-                return b""
-            raise LogError(self._path, f"has a chunk at byte {offset} that {error}") from None
-        # a CRC of 0 means that there is none
-        if is_complete and (len(records) != size or crc not in (0, zlib.crc32(records))):
-            raise self._damage_error(offset)
-        return records
+
+        def expand_records() -> _Buffer:
+            try:
+                records = expand(compression, data, size)
+            except ValueError as error:
+                if not is_complete:
+                    return _Buffer(offset, b"", is_complete)
+                raise LogError(self._path, f"has a chunk at byte {offset} that {error}") from None
+            # a CRC of 0 means that there is none
+            if is_complete and (len(records) != size or crc not in (0, zlib.crc32(records))):
+                raise self._damage_error(offset)
+            return _Buffer(offset, records, is_complete)
+
+        return Job(size + len(data), expand_records)
 
     def _check_size(self, offset: int, size: int) -> None:
         if size > _MAX_BYTES:
@@ -204,6 +241,29 @@ class McapRecords:
 
     def _damage_error(self, offset: int) -> LogError:
         return LogError(self._path, f"is damaged near byte {offset}; try 'mcap recover' on it")
+
+
+def _loose_records(start: int, records: bytearray) -> Job[_Buffer]:
+    """Records outside chunks."""
+    data = bytes(records)
+    return Job(len(data), partial(_Buffer, start, data))
+
+
+def _messages_of_length(buffer: bytes, offset: int, length: int, most: int) -> int:
+    """Number of messages of one length that follow each other, ``most`` of them at most; the first one is at offset."""
+    stride = RECORD.size + length
+    most = min(most, (len(buffer) - offset) // stride)
+    heads = np.ndarray(most, _RECORD_HEAD, buffer, offset, strides=(stride,))
+    count = 1
+    looked_at = _FIRST_RUN
+    while count < most:
+        following = heads[count : count + looked_at]
+        is_same = (following["opcode"] == MESSAGE) & (following["length"] == length)
+        if not is_same.all():
+            return count + int(np.argmin(is_same))
+        count += len(following)
+        looked_at *= 4  # so that the work is in proportion to the messages found
+    return most
 
 
 def _end_of_data(file: BinaryIO) -> int:

@@ -136,8 +136,9 @@ class SampleBuffer:
 
     def _write(self, pieces: Sequence[Samples], t: Array, signals: Mapping[str, Array]) -> None:
         """Write pieces to the times and signals of their samples, shapes (k,) and (k, nj)."""
-        for array in signals.values():
-            array[:] = np.nan
+        if not self._are_complete(pieces):
+            for array in signals.values():
+                array[:] = np.nan
         for piece, rows in zip(pieces, _target_rows(pieces), strict=True):
             t[rows] = piece.t
             block: Any = rows
@@ -146,6 +147,11 @@ class SampleBuffer:
                 block = (rows, columns) if isinstance(rows, slice) else np.ix_(rows, columns)
             for name, values in piece.signals.items():
                 signals[name][block] = values
+
+    def _are_complete(self, pieces: Sequence[Samples]) -> bool:
+        """True if pieces have all joints and signals."""
+        joints, count = self._columns.keys(), len(self._signals)
+        return all(len(piece.signals) == count and set(piece.joints) == joints for piece in pieces)
 
     def _split(self, rows: Array) -> dict[str, Array]:
         """The signals in rows of the file, shape (k, nj) each."""
