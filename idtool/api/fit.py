@@ -15,7 +15,7 @@ from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, as_mode
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json, as_yaml
-from idtool.common.processes import Background
+from idtool.common.processes import Background, in_processes
 from idtool.common.units import units_text
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.records import ProfilesByJoint
@@ -289,8 +289,8 @@ def fit_experiment(
     uncorrectable = [fault for fault in faults if fault.code in _UNCORRECTABLE_FAULTS]
     solved = replace(solved, notices=(*uncorrectable, *solved.notices))
     if analyze_uncertainty and has_samples:
-        prior_maps = residual_maps(solved.experiment, experiment.equation.prior, progress)
-        identified_maps = residual_maps(solved.experiment, solved.estimate.theta, progress)
+        models = (experiment.equation.prior, solved.estimate.theta)
+        prior_maps, identified_maps = in_processes(partial(residual_maps, solved.experiment), models, progress)
         maps = (prior_maps, identified_maps)
     result = FitResult.from_result(fit_report(solved, fleet))
     result._fit = solved

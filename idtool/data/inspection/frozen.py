@@ -62,8 +62,8 @@ def _stretches(
     if not columns:
         return stretches
     for block in _blocks(log.segments, shortest):
-        x = log.signals[signal][block]
-        repeats = np.count_nonzero(x[1:] == x[:-1], axis=0)
+        x = np.ascontiguousarray(log.signals[signal][block].T)  # (joints, samples)
+        repeats = np.count_nonzero(x[:, 1:] == x[:, :-1], axis=1)
         for i in columns:
             if repeats[i] < shortest - 1:
                 continue

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.arrays import Array, Mask
-from idtool.data.logs.stored_arrays import blocks_of
+from idtool.data.logs.stored_arrays import column_blocks
 
 _MIN_SAMPLES = 100  # samples that a share is taken of
 _MIN_LEVELS = 16  # fewer are believed only where most samples repeat one
@@ -36,15 +36,15 @@ def column_statistics(x: Array) -> ColumnStatistics:
     high = np.full(x.shape[1], np.nan)
     squares = np.zeros(x.shape[1])
     not_finite = np.zeros(x.shape[1], dtype=np.int64)
-    for rows in blocks_of([x], len(x)):
-        block = x[rows]
-        finite = np.isfinite(block)
-        if not finite.all():
-            block = np.where(finite, block, np.nan)
-            not_finite += np.sum(~finite, axis=0)
-        low = np.fmin(low, np.fmin.reduce(block, axis=0))
-        high = np.fmax(high, np.fmax.reduce(block, axis=0))
-        squares += np.nansum(block**2, axis=0)
+    for columns in column_blocks(x):
+        is_finite = np.isfinite(columns)
+        if not is_finite.all():
+            columns[~is_finite] = np.nan
+            not_finite += np.count_nonzero(~is_finite, axis=1)
+        low = np.fmin(low, np.fmin.reduce(columns, axis=1))
+        high = np.fmax(high, np.fmax.reduce(columns, axis=1))
+        columns[~is_finite] = 0.0
+        squares += np.einsum("ij,ij->i", columns, columns)
     rms = np.sqrt(squares / np.maximum(len(x) - not_finite, 1))
     return ColumnStatistics(low, high, rms, not_finite)
 

@@ -224,7 +224,8 @@ def _check_values(t: Array, signals: Mapping[str, Array]) -> tuple[Mask, dict[st
             continue
         present[name] = array
         for rows in blocks_of([array], len(t)):
-            invalid[rows] |= ~np.isfinite(array[rows][:, columns]).all(axis=1)
+            values = np.ascontiguousarray(array[rows].T)
+            invalid[rows] |= ~np.isfinite(values[columns]).all(axis=0)
     return invalid, present
 
 

@@ -202,10 +202,19 @@ def column_ranges(array: Array) -> tuple[Array, Array]:
     """Least and greatest value of the columns of an array, shape (N, k), without NaN; shape (k,) each."""
     least = np.full(array.shape[1], np.nan)
     greatest = np.full(array.shape[1], np.nan)
-    for part in blocks_of([array], len(array)):
-        least = np.fmin(least, np.fmin.reduce(array[part], axis=0))
-        greatest = np.fmax(greatest, np.fmax.reduce(array[part], axis=0))
+    for columns in column_blocks(array):
+        least = np.fmin(least, np.fmin.reduce(columns, axis=1))
+        greatest = np.fmax(greatest, np.fmax.reduce(columns, axis=1))
     return least, greatest
+
+
+def column_blocks(array: Array) -> Iterator[Array]:
+    """Blocks of an array's rows, shape (N, k), copied to contiguous columns, shape (k, n).
+
+    Along these, figures of columns are evaluated several times as fast, the copy included.
+    """
+    for rows in blocks_of([array], len(array)):
+        yield array[rows].T.copy(order="C")
 
 
 def blocks(count: int) -> Iterator[slice]:

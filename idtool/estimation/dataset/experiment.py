@@ -21,7 +21,7 @@ from idtool.data.inspection.imu_findings import dead_imu_sensors, imu_findings
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.logs.sensor_channels import is_dead, with_sensors
-from idtool.data.logs.stored_arrays import blocks_of
+from idtool.data.logs.stored_arrays import blocks_of, column_blocks
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
 from idtool.data.signals import BATCH_SAMPLES, Batch, Signals
 from idtool.data.wrench_channels import WrenchChannels
@@ -655,9 +655,10 @@ def _check_signals(log: JointLog, joints: Sequence[str]) -> None:
 def _finite_peaks(x: Array) -> Array:
     """Greatest finite absolute value of each column of an array, shape (N, k)."""
     peaks = np.zeros(x.shape[1])
-    for rows in blocks_of([x], len(x)):
-        size = np.abs(x[rows])
-        peaks = np.maximum(peaks, size.max(axis=0, where=np.isfinite(size), initial=0.0))
+    for columns in column_blocks(x):
+        sizes = np.abs(columns)
+        sizes[~np.isfinite(sizes)] = 0.0
+        peaks = np.maximum(peaks, sizes.max(axis=1))
     return peaks
 
 
