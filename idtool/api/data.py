@@ -136,23 +136,47 @@ def _prepare(
         training = [_record(log, model) for log in logs]
         validation = [_record(log, model) for log in validate]
         return prepare(model.robot, model.settings, training, validation, holdout, transform)
+    experiment, failures = _prepare_usable(model, logs, validate, holdout, bool(logs), bool(validate), transform)
+    if experiment is None:
+        raise LogError(failures[0].where, f"{failures[0].what}; no other log can be used")
+    return experiment
+
+
+def _prepare_usable(
+    model: Model,
+    logs: Sequence[LogSource],
+    validate: Sequence[LogSource],
+    holdout: float,
+    needs_training: bool,
+    needs_validation: bool,
+    transform: Callable[[JointLog], JointLog] = lambda log: log,
+) -> tuple[Experiment | None, list[LogError]]:
+    """Model and those of the logs that can be used, and the errors of the others; None if too few are left.
+
+    Parameters
+    ----------
+    model, logs, validate, holdout, transform
+        As in `load_experiment`.
+    needs_training, needs_validation
+        True if one of the logs for the fit, or for validation, must be left.
+    """
     failures: list[LogError] = []
-    readable = [record for log in logs if (record := _readable(log, model, failures))]
-    readable_validation = [record for log in validate if (record := _readable(log, model, failures))]
+    training = [record for log in logs if (record := _readable(log, model, failures))]
+    validation = [record for log in validate if (record := _readable(log, model, failures))]
     while True:
-        if failures and (bool(logs) > bool(readable) or bool(validate) > bool(readable_validation)):
-            raise LogError(failures[0].where, f"{failures[0].what}; no other log can be used")
+        if not (training or validation) or (needs_training and not training) or (needs_validation and not validation):
+            return None, failures
         try:
-            experiment = prepare(model.robot, model.settings, readable, readable_validation, holdout, transform)
+            experiment = prepare(model.robot, model.settings, training, validation, holdout, transform)
         except LogError as error:  # a log that can be read, but not used
-            count = len(readable) + len(readable_validation)
-            readable = [log for log in readable if not is_about(error, log.path)]
-            readable_validation = [log for log in readable_validation if not is_about(error, log.path)]
-            if len(readable) + len(readable_validation) == count:
+            count = len(training) + len(validation)
+            training = [log for log in training if not is_about(error, log.path)]
+            validation = [log for log in validation if not is_about(error, log.path)]
+            if len(training) + len(validation) == count:
                 raise
             failures.append(error)
         else:
-            return replace(experiment, left_out=tuple(map(left_out_notice, failures)))
+            return replace(experiment, left_out=tuple(map(left_out_notice, failures))), failures
 
 
 def _readable(log: LogSource, model: Model, failures: list[LogError]) -> JointLog | None:
@@ -169,11 +193,20 @@ def _with_reductions(model: Model, given: _GivenLogs, skip_bad: bool, progress: 
     """A model with reduced logs; logs among them are reduced here."""
     training, validation = given.reductions()
     unreduced = given.without_reductions()
-    left_out: tuple[Notice, ...] = ()
-    notices: tuple[Notice, ...] = ()
-    if unreduced.logs or unreduced.validate:
+    experiment: Experiment | None = None
+    failures: list[LogError] = []
+    needs_training = bool(given.logs) and not training
+    needs_validation = bool(given.validate) and not validation
+    if skip_bad:
+        experiment, failures = _prepare_usable(
+            model, unreduced.logs, unreduced.validate, unreduced.holdout, needs_training, needs_validation
+        )
+        if experiment is None and (needs_training or needs_validation):
+            raise LogError(failures[0].where, f"{failures[0].what}; no other log can be used")
+    elif unreduced.logs or unreduced.validate:
         experiment = _prepare(model, unreduced.logs, unreduced.validate, unreduced.holdout, skip_bad)
-        left_out = experiment.left_out
+    notices: tuple[Notice, ...] = ()
+    if experiment is not None:
         reduction = save_reduction(experiment, unreduced.holdout, progress)
         notices = reduction.notices  # which name the logs
         of_training: list[FileAndReduction] = []
@@ -185,6 +218,7 @@ def _with_reductions(model: Model, given: _GivenLogs, skip_bad: bool, progress: 
         training = _in_order(given.logs, training, of_training)
         validation = _in_order(given.validate, validation, of_validation)
     reduced = prepare_reduced(model.robot, model.settings, training, validation)
+    left_out = tuple(map(left_out_notice, failures))
     return replace(reduced, left_out=left_out, log_notices=unique((*notices, *reduced.log_notices)))
 
 
@@ -205,6 +239,8 @@ def _reduced_by_cluster(
             unreduced.holdout,
             distribution.folder,
             skip_bad,
+            bool(given.logs) and not training,
+            bool(given.validate) and not validation,
             progress,
         )
         training = _in_order(given.logs, training, reduced.training)

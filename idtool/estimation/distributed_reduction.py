@@ -156,6 +156,8 @@ def reduce_on_cluster(
     holdout: float,
     folder: Path,
     skip_bad: bool,
+    needs_training: bool,
+    needs_validation: bool,
     progress: Progress,
 ) -> ReducedLogs:
     """Reduce logs on a cluster.
@@ -174,6 +176,8 @@ def reduce_on_cluster(
         Where reductions are written.
     skip_bad
         If true, logs that cannot be used are left out; a notice names them.
+    needs_training, needs_validation
+        True if one of the logs for the fit, or for validation, must be left.
     progress
         Callback for the stage and its progress, from 0 to 1.
 
@@ -194,15 +198,15 @@ def reduce_on_cluster(
     def check() -> None:
         """Raise if a log cannot be used and is not to be skipped, or if none is left for the fit or validation."""
         used = reductions.keys() - failures.keys()
-        has_training = any(i < len(logs) for i in used) or not logs
-        has_validation = any(i >= len(logs) for i in used) or not validate
+        has_training = any(i < len(logs) for i in used) or not needs_training
+        has_validation = any(i >= len(logs) for i in used) or not needs_validation
         _check_failures(failures, skip_bad, has_training and has_validation)
 
     check()
-    common = _common_settings(reductions)
     differing = {}
+    common = _common_settings(reductions) if reductions else None
     for i, reduction in reductions.items():
-        if not _has_settings(reduction, common):
+        if common is not None and not _has_settings(reduction, common):
             differing[i] = replace(tasks[i], config=config.model_copy(update=common.changes(config)))
     second_reductions, second_failures = _reductions(cluster, differing, folder, progress)
     reductions |= second_reductions

@@ -111,6 +111,19 @@ def test_a_validation_is_that_of_one_process(scheduler: str, logs: list[Path]) -
         assert_same_figures(own[key], expected[key], key)
 
 
+def test_a_study_is_that_of_one_process(
+    scheduler: str, logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (("LOCAL", {}), ("PRIORS", ("euclidean",)), ("CURVES", ("none", "full")), ("_REPEATS", 1)):
+        monkeypatch.setattr(f"idtool.estimation.study.study.{name}", value)
+    expected = package.study(LEG, logs, draws=5).to_json()
+    done = idtool("study", LEG, *logs, "--draws", 5, "--cluster", scheduler, "--out", tmp_path, "--json")
+    assert done.code == 0
+    for key in ("learning", "samples", "band_hz", "logs"):
+        assert_same_figures(done.json[key], expected[key], key)
+    assert len(list((tmp_path / "reductions").glob("*.idr"))) == len(logs)
+
+
 def test_a_process_on_this_machine_reduces_logs_to_one_file(
     logs: list[Path], from_logs: package.FitResult, tmp_path: Path
 ) -> None:

@@ -291,6 +291,22 @@ def test_a_study_leaves_out_bad_logs(reduction: Path, tmp_path: Path) -> None:
     assert [notice["subject"] for notice in done.json["notices"] if notice["code"] == "log_left_out"] == ["bad.csv"]
 
 
+@pytest.mark.parametrize("cluster", [None, "local:1"])
+def test_reductions_are_enough_if_no_log_can_be_used(
+    reduction: Path, validation: Path, tmp_path: Path, cluster: str | None
+) -> None:
+    bad = tmp_path / "bad.csv"
+    bad.write_text("t,q_hip\n0,1\n")
+    for logs, validate in (([bad, reduction], []), ([reduction], [bad, validation]), ([bad, reduction], [validation])):
+        fitted = package.fit(LEG, logs, validate=validate, quick=True, skip_bad=True, cluster=cluster)
+        assert [notice.subject for notice in fitted.notices if notice.code == "log_left_out"] == ["bad.csv"]
+        expected = package.fit(LEG, reduction, validate=[validation] if validate else [], quick=True)
+        assert_same_figures(fitted.to_json()["rms"], expected.to_json()["rms"], "rms")
+    for logs, validate in (([bad], [validation]), ([reduction], [bad])):
+        with pytest.raises(package.LogError, match="no other log can be used"):
+            package.fit(LEG, logs, validate=validate, quick=True, skip_bad=True, cluster=cluster)
+
+
 def test_a_validation_is_that_on_the_log(validation: Path, tmp_path: Path) -> None:
     """Of an identified model, too, whose rows are those of the original one."""
     package.fit(LEG, TRAIN, quick=True).save(tmp_path)

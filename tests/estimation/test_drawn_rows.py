@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from idtool.estimation.dataset.drawn_rows import DrawnRows, merged_draws, row_keys, uniform_draw
+from idtool.common.provenance import InputFile
+from idtool.data.logs.log import make_log
+from idtool.estimation.dataset.drawn_rows import DrawnRows, log_identity, merged_draws, row_keys, uniform_draw
 
 ACTIVE = (np.arange(2), np.arange(1))
 
@@ -51,6 +56,15 @@ def test_keys_do_not_depend_on_the_part_that_is_read() -> None:
     whole = row_keys("run1.mcap", 0, 100)
     np.testing.assert_array_equal(row_keys("run1.mcap", 37, 63), whole[37:])
     assert not (whole == row_keys("run2.mcap", 0, 100)).any()
+
+
+def test_logs_of_one_name_have_other_keys() -> None:
+    t = np.arange(3.0)
+    a, b, c = (make_log(Path(folder, "run.csv"), t, ("hip",), {"q": t[:, None]}) for folder in "abc")
+    a = replace(a, sources=(InputFile("log", "a/run.csv", "12"),))
+    b = replace(b, sources=(InputFile("log", "b/run.csv", "34"),))
+    assert len({log_identity(log) for log in (a, b, c)}) == 3
+    assert log_identity(a) == log_identity(replace(a, path=Path("elsewhere/run.csv")))
 
 
 def test_every_sample_is_as_likely_in_logs_of_different_length() -> None:

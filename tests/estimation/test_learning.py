@@ -122,7 +122,7 @@ def stream(sizes: list[int], runs: int = 1, name: str = "log") -> Experiment:
         signals: Any = SimpleNamespace(
             low_pass=SimpleNamespace(redundancy=2.0),
             full_rate_low_pass=SimpleNamespace(edge=0),
-            log=SimpleNamespace(path=Path(f"{name}{first}.csv"), dt=0.001, unknown_torque=()),
+            log=SimpleNamespace(path=Path(f"{name}{first}.csv"), dt=0.001, unknown_torque=(), sources=()),
             batches=lambda _: batches(first),
         )
         return Run(signals, (slice(0, sum(sizes)),), ())

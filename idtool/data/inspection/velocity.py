@@ -11,13 +11,15 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.ndimage import uniform_filter1d
 
-from idtool.common.arrays import Array
+from idtool.common.arrays import Array, ComplexArray
 
 _MIN_SAMPLES = 64  # samples
 _MAX_LAG = 0.1  # s: more than any drive's filter, less than half a period of most excitations
 _SMOOTHING = 15  # bins over which spectra are averaged for the coherence
 _MIN_COHERENCE = 0.5  # bins below this squared coherence have no say in the band; noise alone passes in 1 of 500
 _BAND_POWER = 0.99
+_MAX_ITERATIONS = 4
+_CONVERGED = 1e-6  # samples of change of the lag
 _REACH = 5  # standard deviations at which the Gaussian is cut off
 
 
@@ -86,28 +88,30 @@ def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
     x = np.linspace(-reach * dt, reach * dt, 2 * reach + 1)
     if len(q) < 2 * len(x):
         return _UNKNOWN
-    V = _convolve(v, _gaussian(x, sigma))
-    for _ in range(4):
+    size = next_fast_len(len(q), real=True)
+    q_spectrum = rfft(q, size)
+
+    def smoothed(spectrum: ComplexArray, kernel: Array) -> Array:
+        """Convolution where the kernel lies within the series, shape (N − K + 1,)."""
+        return np.asarray(irfft(spectrum * rfft(kernel, size), size)[len(kernel) - 1 : len(q)])
+
+    V = smoothed(rfft(v, size), _gaussian(x, sigma))
+    for _ in range(_MAX_ITERATIONS):
         g = _gaussian(x - lag, sigma)
-        D = _convolve(q, -(x - lag) / sigma**2 * g)
-        A = _convolve(q, ((x - lag) ** 2 / sigma**2 - 1) / sigma**2 * g)
+        D = smoothed(q_spectrum, -(x - lag) / sigma**2 * g)
+        A = smoothed(q_spectrum, ((x - lag) ** 2 / sigma**2 - 1) / sigma**2 * g)
         M = np.stack([D, A, np.ones_like(D)], axis=1)
         gain, slope, offset = np.linalg.lstsq(M, V, rcond=None)[0]
         if gain == 0 or abs(lag - slope / gain) > _MAX_LAG:
             return _UNRELATED
         lag -= slope / gain
+        if abs(slope / gain) < _CONVERGED * dt:
+            break
     residual = V - gain * D - slope * A - offset
     agreement = 1 - residual.var() / V.var()
     independent_samples = max(2 * band * dt * len(V), 1.0)
     error = residual.std() / (abs(gain) * A.std() * np.sqrt(independent_samples))
     return Agreement(float(lag), float(gain), float(max(agreement, 0.0)), float(error))
-
-
-def _convolve(x: Array, kernel: Array) -> Array:
-    """Convolution where the kernel, shape (K,), lies within the series, shape (N,); shape (N − K + 1,)."""
-    size = next_fast_len(len(x), real=True)
-    product = rfft(x, size) * rfft(kernel, size)
-    return np.asarray(irfft(product, size)[len(kernel) - 1 : len(x)])
 
 
 def _gaussian(x: Array, sigma: float) -> Array:

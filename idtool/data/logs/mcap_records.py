@@ -250,7 +250,7 @@ def _loose_records(start: int, records: bytearray) -> Job[_Buffer]:
 
 
 def _messages_of_length(buffer: bytes, offset: int, length: int, most: int) -> int:
-    """Number of messages of one length that follow each other, ``most`` of them at most; the first one is at offset."""
+    """Length of the run of messages of one ``length`` that begins at ``offset``, up to ``most``."""
     stride = RECORD.size + length
     most = min(most, (len(buffer) - offset) // stride)
     heads = np.ndarray(most, _RECORD_HEAD, buffer, offset, strides=(stride,))

@@ -1,8 +1,8 @@
 """`DrawnRows`: rows of the torque equation that are drawn at random from data of any length.
 
-Every row has a random key, and those with the least keys are kept: of parts of the data, these merge into those of all
-(a bottom-k sketch: Cohen & Kaplan, Summarizing data using bottom-k sketches, 2007). The keys follow from the name of
-the log and the number of the row, so that it does not matter which process reads it.
+Every row has a random key. The rows with the least keys are kept. Those of several parts of the data, merged, are those
+of the whole: a bottom-k sketch (Cohen & Kaplan, Summarizing data using bottom-k sketches, 2007). A key follows from the
+log and the number of the row, so that it does not matter which process reads the row.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.data.logs.log import JointLog
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.reduction import Factor, Reduction
 
@@ -73,39 +74,44 @@ class DrawnRows:
             Largest number of samples to keep.
         """
         count = len(keys)
-        is_full = len(self) >= limit
-        highest = self.keys[limit - 1] if is_full and limit else 0.0
-        chosen = np.flatnonzero(keys < highest) if is_full else np.arange(count)
-        if not len(chosen):
+        is_full = 0 < limit <= len(self)
+        candidates = np.flatnonzero(keys < self.keys[limit - 1]) if is_full else np.arange(count)
+        if not len(candidates):
             return replace(self, drawn_from=self.drawn_from + count)
         new = DrawnRows(
-            tuple(own[:, chosen] for own in rows),
-            np.stack([own[chosen].astype(float) for own in shares]),
-            np.full(len(chosen), worth),
-            keys[chosen],
-            count,
+            rows=tuple(own[:, candidates] for own in rows),
+            shares=np.stack([own[candidates].astype(float) for own in shares]),
+            worth=np.full(len(candidates), worth),
+            keys=keys[candidates],
+            drawn_from=count,
         )
         return merged_draws([self, new], limit)
 
     def least(self, limit: int) -> DrawnRows:
         """The samples with the least keys, up to a number of them."""
-        return self if len(self) <= limit else self._chosen(np.arange(limit))
+        return self if len(self) <= limit else self._subset(np.arange(limit))
 
     def below(self, key: float) -> DrawnRows:
-        """The samples with keys up to one."""
-        return self._chosen(np.flatnonzero(self.keys <= key))
+        """The samples with keys of at most ``key``."""
+        return self._subset(np.flatnonzero(self.keys <= key))
 
-    def _chosen(self, chosen: Indices) -> DrawnRows:
-        rows = tuple(own[:, chosen] for own in self.rows)
-        return replace(self, rows=rows, shares=self.shares[:, chosen], worth=self.worth[chosen], keys=self.keys[chosen])
+    def _subset(self, indices: Indices) -> DrawnRows:
+        """Some of the samples, of as many as before."""
+        return replace(
+            self,
+            rows=tuple(own[:, indices] for own in self.rows),
+            shares=self.shares[:, indices],
+            worth=self.worth[indices],
+            keys=self.keys[indices],
+        )
 
-    def reduction(self, chosen: Indices) -> Reduction:
+    def reduction(self, indices: Indices) -> Reduction:
         """The R-factors of some of the samples."""
+        worth = self.worth[indices]
         factors = []
-        for rows, shares in zip(self.rows, self.shares, strict=True):
-            own = shares[chosen]
-            factor = Factor.from_shares(rows[:, chosen], own)
-            factors.append(replace(factor, independent=float(self.worth[chosen] @ own)))
+        for rows, shares in zip(self.rows, self.shares[:, indices], strict=True):
+            factor = Factor.from_shares(rows[:, indices], shares)
+            factors.append(replace(factor, independent=float(worth @ shares)))
         return tuple(factors)
 
 
@@ -113,13 +119,13 @@ def merged_draws(draws: Sequence[DrawnRows], limit: int) -> DrawnRows:
     """The samples with the least keys of several draws, up to a number of them."""
     keys = np.concatenate([draw.keys for draw in draws])
     order = np.argsort(keys, kind="stable")[:limit]
-    of_joints = zip(*(draw.rows for draw in draws), strict=True)
+    rows_by_joint = zip(*(draw.rows for draw in draws), strict=True)
     return DrawnRows(
-        tuple(np.concatenate(own, axis=1)[:, order] for own in of_joints),
-        np.concatenate([draw.shares for draw in draws], axis=1)[:, order],
-        np.concatenate([draw.worth for draw in draws])[order],
-        keys[order],
-        sum(draw.drawn_from for draw in draws),
+        rows=tuple(np.concatenate(rows, axis=1)[:, order] for rows in rows_by_joint),
+        shares=np.concatenate([draw.shares for draw in draws], axis=1)[:, order],
+        worth=np.concatenate([draw.worth for draw in draws])[order],
+        keys=keys[order],
+        drawn_from=sum(draw.drawn_from for draw in draws),
     )
 
 
@@ -139,17 +145,22 @@ def uniform_draw(draws: Sequence[DrawnRows], limit: int) -> DrawnRows:
     return merged_draws([draw.below(known_up_to) for draw in draws], limit)
 
 
-def row_keys(name: str, first: int, count: int) -> Array:
+def log_identity(log: JointLog) -> str:
+    """Hashes of a log's files: other logs may have its name, as in the folders of a fleet. Without files, its name."""
+    return " ".join(source.sha256 or source.path for source in log.sources) or log.path.name
+
+
+def row_keys(identity: str, first: int, count: int) -> Array:
     """Random keys of consecutive rows of a log, uniform from 0 to 1, shape (count,).
 
     Parameters
     ----------
-    name
-        Name of the log, or of a part of it.
+    identity
+        What identifies the log, or a part of it.
     first
         Number of rows before them.
     count
         Number of rows.
     """
-    generator = np.random.PCG64(zlib.crc32(name.encode(errors="replace")))
+    generator = np.random.PCG64(zlib.crc32(identity.encode(errors="replace")))
     return np.random.Generator(generator.advance(first)).random(count)

@@ -22,7 +22,7 @@ from idtool.estimation.dataset.blocks import (
     most_blocks,
     rounded_count,
 )
-from idtool.estimation.dataset.drawn_rows import DrawnRows, row_keys, uniform_draw
+from idtool.estimation.dataset.drawn_rows import DrawnRows, log_identity, row_keys, uniform_draw
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.extreme_rows import ROWS_PER_BIN
@@ -141,7 +141,7 @@ def reduce_logs(
                 rows, shares = reduced.add_batch(equation, run.signals, batch, kept_rows)
                 if drawn_limit:
                     in_band = [own[:-1] for own in rows]
-                    keys = row_keys(f"{run.signals.log.path.name} {held_out}", first_row, span.rows)
+                    keys = row_keys(f"{log_identity(run.signals.log)} {held_out}", first_row, span.rows)
                     worth = 1 / run.signals.low_pass.redundancy
                     reduced.drawn = reduced.drawn.with_rows(in_band, shares, worth, keys, drawn_limit)
                 first_row += span.rows
@@ -217,7 +217,9 @@ def drawn_training_rows(experiment: Experiment, logs: Sequence[ReducedLog]) -> D
         Its logs, from which rows were drawn.
     """
     limit = _drawn_limit(experiment.equation, rounded_count(len(logs)))
-    draws = [part.drawn.least(limit) for log in logs for part in log.train]
+    draws = []
+    for log in logs:
+        draws += [part.drawn.least(limit) for part in log.train]
     return uniform_draw(draws, _DRAWN_ROWS[1])
 
 

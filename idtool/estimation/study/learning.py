@@ -16,7 +16,7 @@ from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import SolverError
 from idtool.common.processes import shared_among_processes
 from idtool.estimation.dataset.blocks import merge_reductions
-from idtool.estimation.dataset.drawn_rows import DrawnRows, row_keys
+from idtool.estimation.dataset.drawn_rows import DrawnRows, log_identity, row_keys
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 from idtool.estimation.dataset.reduced_logs import ReducedLog, drawn_training_rows, training_blocks
 from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
@@ -101,11 +101,12 @@ def reduced_data(experiment: Experiment, logs: Sequence[ReducedLog]) -> StudyDat
     total = merge_reductions([log.total for log in training_blocks(experiment, logs)])
     nothing = empty(experiment.equation.active())
     validation = nothing
-    for part in [part for log in logs for part in log.held_out]:
-        compared = list(nothing)
-        for joint in np.flatnonzero(part.is_compared):
-            compared[joint] = part.comparison[joint].without_last_column()
-        validation = merge(validation, tuple(compared))
+    for log in logs:
+        for part in log.held_out:
+            compared = list(nothing)
+            for joint in np.flatnonzero(part.is_compared):
+                compared[joint] = part.comparison[joint].without_last_column()
+            validation = merge(validation, tuple(compared))
     return StudyData(total, drawn_training_rows(experiment, logs), validation)
 
 
@@ -124,6 +125,7 @@ def gather(experiment: Experiment, progress: Progress) -> tuple[Reduction, Drawn
     size = min(_POOL, max(_POOL_NUMBERS // numbers_per_sample, 1))
     for run in experiment.runs:
         name = run.signals.log.path.name
+        identity = log_identity(run.signals.log)
         worth = 1 / run.signals.low_pass.redundancy
         row = 0
         for batch in tracked(run.signals.batches(run.train), run.train, progress, f"reading {name}"):
@@ -132,7 +134,7 @@ def gather(experiment: Experiment, progress: Progress) -> tuple[Reduction, Drawn
             pairs = zip(rows, shares, strict=True)
             factors = [Factor.from_shares(own, share.astype(float), 1 / worth) for own, share in pairs]
             total = merge(total, tuple(factors))
-            pool = pool.with_rows(rows, shares, worth, row_keys(name, row, count), size)
+            pool = pool.with_rows(rows, shares, worth, row_keys(identity, row, count), size)
             row += count
     experiment.checked(total)
     return total, pool
@@ -181,8 +183,8 @@ def learn(
     Parameters
     ----------
     data
-        Samples to draw from, each draw's larger counts around its smaller ones; all training data, at the end of each
-        curve; and the data that the error is on.
+        The data. Of a draw, the samples of a smaller count are among those of a larger one. A curve ends with all
+        training data.
     active
         Per joint, its coefficients.
     problem_of
