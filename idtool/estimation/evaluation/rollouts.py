@@ -159,7 +159,7 @@ def evaluate_rollouts(
     jobs, available = _windows(parts, window, closed)
     if contacts is not None and not jobs:
         return None
-    baseline, traces = _measured(jobs, experiment.model.joint_count, closed)
+    baseline, envelopes = _evaluate_baseline(jobs, experiment.model.joint_count, closed)
 
     def simulate_one(name: str, progress: Progress) -> _ModelRollouts:
         return _simulate_model(experiment, name, models[name], jobs, closed, progress)
@@ -173,7 +173,7 @@ def evaluate_rollouts(
             errors[name] = simulated.error
         else:
             failed[name] = simulated.failure
-        for envelope, own in zip(traces, simulated.envelopes, strict=False):  # of a failure, fewer
+        for envelope, own in zip(envelopes, simulated.envelopes, strict=False):  # of a failure, fewer
             envelope.merge(own)
     errors["baseline"] = baseline
     names = [signals.log.path.name for signals, _ in jobs]
@@ -181,7 +181,7 @@ def evaluate_rollouts(
         kind="closed_loop" if closed else "open_loop",
         window=window,
         errors=errors,
-        traces=tuple(envelope.trace(name) for name, envelope in zip(names, traces, strict=True)),
+        traces=tuple(envelope.trace(name) for name, envelope in zip(names, envelopes, strict=True)),
         windows=sum(len(windows) for _, windows in jobs),
         available=available,
         diverged=diverged,
@@ -199,7 +199,7 @@ class _ModelRollouts:
     failure: str | None = None
 
 
-def _measured(jobs: Sequence[_Job], joints: int, closed: bool) -> tuple[RolloutError, list[Envelope]]:
+def _evaluate_baseline(jobs: Sequence[_Job], joints: int, closed: bool) -> tuple[RolloutError, list[Envelope]]:
     """Errors of the baseline, and the measured positions for drawing, log by log."""
     baseline = RolloutError.none(joints)
     envelopes = []
