@@ -108,14 +108,14 @@ def read_log(
     if is_url(path):
         return _read_url(path, topic=topic, columns=columns, scale=scale, sensors=sensors, messages=messages)
     try:
-        if path.is_dir():
-            log = _read(path, topic, columns, sensors, messages)
-            files = [source_from_file("log", file) for file in log_files(path)]
-            sources = [source_from_file("bag metadata", path / METADATA), *files]
-        else:
+        if path.is_file():  # a pipe would never end
             with BackgroundThread(partial(source_from_file, "log", path)) as hashing:
                 log = _read(path, topic, columns, sensors, messages)
                 sources = [hashing.result()]
+        else:
+            log = _read(path, topic, columns, sensors, messages)
+            files = [source_from_file("log", file) for file in log_files(path)]
+            sources = [source_from_file("bag metadata", path / METADATA), *files]
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
     _apply_scale(log, scale)
