@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from idtool.estimation.dataset.robots_of_logs import robots_of_logs
 from idtool.estimation.distributed_reduction import reduce_on_cluster
 from idtool.estimation.fleet import check_fleet
 from idtool.estimation.reduced_experiment import ReducedExperiment, prepare_reduced, save_reduction
+from idtool.estimation.reduction_excerpts import excerpt_notices, excerpts_of
 from idtool.estimation.saved_reduction import SavedReduction, read_reduction
 from idtool.robot.config.pool import Pool
 
@@ -43,6 +45,7 @@ def load_experiment(
     distribution: Distribution | None = None,
     skip_bad: bool = False,
     pool: Pool | None = None,
+    with_excerpts: bool = False,
 ) -> Experiment:
     """Load logs, or reduced logs, and put them together with a model.
 
@@ -64,6 +67,8 @@ def load_experiment(
         If true, logs that cannot be used are left out; a notice names them.
     pool
         The fleet that the logs are of, which are reduced then; None: they are of one robot.
+    with_excerpts
+        If true, reductions are read with the excerpts of their logs.
 
     Raises
     ------
@@ -73,19 +78,71 @@ def load_experiment(
     progress("reading", 0.0)
     model = as_model(model)
     given = _GivenLogs(as_list(logs), as_list(validate), holdout)
-    try:
+    with _in_configuration(model):
         if pool is not None and not given.has_reductions:
             robots_of_logs(pool, [_path_of(log) for log in (*given.logs, *given.validate)])
         experiment: Experiment
         if distribution is not None:
-            experiment = _reduced_by_cluster(model, given, distribution, skip_bad, progress)
+            experiment = _reduced_by_cluster(model, given, distribution, skip_bad, progress, with_excerpts)
         elif pool is not None or (takes_reductions and given.has_reductions):
-            experiment = _with_reductions(model, given, skip_bad, progress)
+            experiment = _with_reductions(model, given, skip_bad, progress, with_excerpts)
         else:
             experiment = _prepare(model, given.logs, given.validate, holdout, skip_bad, transform)
         if pool is not None and isinstance(experiment, ReducedExperiment):
             check_fleet(pool, experiment)
         return experiment
+
+
+def load_with_excerpts(
+    model: Model | Source,
+    logs: Logs,
+    validate: Logs = (),
+    holdout: float = DEFAULT_HOLDOUT,
+    progress: Progress = lambda stage, share: None,
+    distribution: Distribution | None = None,
+    skip_bad: bool = False,
+) -> Experiment:
+    """Load logs, of reductions the excerpts of their logs, and put them together with a model.
+
+    Parameters
+    ----------
+    model, logs, validate, holdout, progress, distribution, skip_bad
+        As in `load_experiment`; with a cluster, excerpts of all logs are used.
+
+    Raises
+    ------
+    IdtoolError
+        If a log, the configuration or the model cannot be used, or a reduction has no excerpts.
+    """
+    progress("reading", 0.0)
+    model = as_model(model)
+    given = _GivenLogs(as_list(logs), as_list(validate), holdout)
+    with _in_configuration(model):
+        left_out: tuple[Notice, ...] = ()
+        if distribution is None:
+            training, validation = _read_reductions(given.logs, True), _read_reductions(given.validate, True)
+        else:
+            training, validation, left_out = _reductions_by_cluster(
+                model, given, distribution, skip_bad, progress, True
+            )
+            given = _GivenLogs([path for path, _ in training], [path for path, _ in validation], holdout)
+        excerpts = excerpts_of(training, model.settings), excerpts_of(validation, model.settings)
+        experiment = _prepare(
+            model,
+            _with_excerpts(given.logs, excerpts[0]),
+            _with_excerpts(given.validate, excerpts[1]),
+            holdout,
+            skip_bad,
+        )
+    notices = excerpt_notices([*training, *validation], excerpts)
+    return replace(experiment, left_out=(*left_out, *experiment.left_out, *notices))
+
+
+@contextmanager
+def _in_configuration(model: Model) -> Iterator[None]:
+    """Name the file of a model's configuration in errors about a key of it."""
+    try:
+        yield
     except ConfigError as error:
         source = model.settings.source
         if source is None or error.where.startswith("--"):
@@ -104,18 +161,18 @@ class _GivenLogs:
     @property
     def has_reductions(self) -> bool:
         """True if some are files of `idtool reduce`."""
-        return any(_reduction_path(log) for log in (*self.logs, *self.validate))
+        return any(reduction_path(log) for log in (*self.logs, *self.validate))
 
     def without_reductions(self) -> _GivenLogs:
         """The logs alone. Nothing of them is held out if others, maybe reductions, are for validation."""
-        logs = [log for log in self.logs if _reduction_path(log) is None]
-        validate = [log for log in self.validate if _reduction_path(log) is None]
+        logs = [log for log in self.logs if reduction_path(log) is None]
+        validate = [log for log in self.validate if reduction_path(log) is None]
         return _GivenLogs(logs, validate, 0.0 if self.validate else self.holdout)
 
-    def reductions(self) -> tuple[list[FileAndReduction], list[FileAndReduction]]:
+    def reductions(self, with_excerpts: bool) -> tuple[list[FileAndReduction], list[FileAndReduction]]:
         """The files of `idtool reduce` for the fit and for validation."""
-        training = _read_reductions(self.logs)
-        validation = _read_reductions(self.validate)
+        training = _read_reductions(self.logs, with_excerpts)
+        validation = _read_reductions(self.validate, with_excerpts)
         for path, reduction in training:
             if not self.validate and self.holdout not in (reduction.holdout, DEFAULT_HOLDOUT):
                 what = f"{path} was made with --holdout {reduction.holdout:g}"
@@ -189,9 +246,11 @@ def _readable(log: LogSource, model: Model, failures: list[LogError]) -> JointLo
         return None
 
 
-def _with_reductions(model: Model, given: _GivenLogs, skip_bad: bool, progress: Progress) -> Experiment:
+def _with_reductions(
+    model: Model, given: _GivenLogs, skip_bad: bool, progress: Progress, with_excerpts: bool
+) -> Experiment:
     """A model with reduced logs; logs among them are reduced here."""
-    training, validation = given.reductions()
+    training, validation = given.reductions(with_excerpts)
     unreduced = given.without_reductions()
     experiment: Experiment | None = None
     failures: list[LogError] = []
@@ -207,7 +266,7 @@ def _with_reductions(model: Model, given: _GivenLogs, skip_bad: bool, progress: 
         experiment = _prepare(model, unreduced.logs, unreduced.validate, unreduced.holdout, skip_bad)
     notices: tuple[Notice, ...] = ()
     if experiment is not None:
-        reduction = save_reduction(experiment, unreduced.holdout, progress)
+        reduction = save_reduction(experiment, unreduced.holdout, progress, keeps_excerpts=with_excerpts)
         notices = reduction.notices  # which name the logs
         of_training: list[FileAndReduction] = []
         of_validation: list[FileAndReduction] = []
@@ -223,30 +282,50 @@ def _with_reductions(model: Model, given: _GivenLogs, skip_bad: bool, progress: 
 
 
 def _reduced_by_cluster(
-    model: Model, given: _GivenLogs, distribution: Distribution, skip_bad: bool, progress: Progress
+    model: Model,
+    given: _GivenLogs,
+    distribution: Distribution,
+    skip_bad: bool,
+    progress: Progress,
+    with_excerpts: bool,
 ) -> Experiment:
     """A model with logs that a cluster reduces, and with reductions."""
-    training, validation = given.reductions()
-    unreduced = given.without_reductions()
-    left_out: tuple[Notice, ...] = ()
-    if unreduced.logs or unreduced.validate:
-        reduced = reduce_on_cluster(
-            distribution.cluster,
-            model.robot,
-            model.settings,
-            [_log_file(log) for log in unreduced.logs],
-            [_log_file(log) for log in unreduced.validate],
-            unreduced.holdout,
-            distribution.folder,
-            skip_bad,
-            bool(given.logs) and not training,
-            bool(given.validate) and not validation,
-            progress,
-        )
-        training = _in_order(given.logs, training, reduced.training)
-        validation = _in_order(given.validate, validation, reduced.validation)
-        left_out = reduced.notices
+    training, validation, left_out = _reductions_by_cluster(
+        model, given, distribution, skip_bad, progress, with_excerpts
+    )
     return replace(prepare_reduced(model.robot, model.settings, training, validation), left_out=left_out)
+
+
+def _reductions_by_cluster(
+    model: Model,
+    given: _GivenLogs,
+    distribution: Distribution,
+    skip_bad: bool,
+    progress: Progress,
+    with_excerpts: bool,
+) -> tuple[list[FileAndReduction], list[FileAndReduction], tuple[Notice, ...]]:
+    """Reductions for the fit and for validation, of logs by a cluster; and notices about logs that are left out."""
+    training, validation = given.reductions(with_excerpts)
+    unreduced = given.without_reductions()
+    if not (unreduced.logs or unreduced.validate):
+        return training, validation, ()
+    reduced = reduce_on_cluster(
+        distribution.cluster,
+        model.robot,
+        model.settings,
+        [_log_file(log) for log in unreduced.logs],
+        [_log_file(log) for log in unreduced.validate],
+        unreduced.holdout,
+        distribution.folder,
+        skip_bad,
+        bool(given.logs) and not training,
+        bool(given.validate) and not validation,
+        progress,
+        with_excerpts,
+    )
+    training = _in_order(given.logs, training, reduced.training)
+    validation = _in_order(given.validate, validation, reduced.validation)
+    return training, validation, reduced.notices
 
 
 def _in_order(
@@ -259,7 +338,7 @@ def _in_order(
     remaining_files, remaining_logs = list(from_files), list(of_logs)
     ordered = []
     for log in given:
-        if _reduction_path(log) is not None:
+        if reduction_path(log) is not None:
             ordered.append(remaining_files.pop(0))
         elif remaining_logs and remaining_logs[0][0] == _path_of(log):
             ordered.append(remaining_logs.pop(0))
@@ -278,21 +357,33 @@ def _log_file(log: LogSource) -> Path:
     return log_path(log)
 
 
-def _reduction_path(log: LogSource) -> Path | None:
+def reduction_path(log: LogSource) -> Path | None:
     """The path of a file of `idtool reduce`, which is known by its name; None for a log."""
     if isinstance(log, Log) or not str(log).lower().endswith(REDUCTION_SUFFIX):
         return None
     return log_path(log)
 
 
-def _read_reductions(logs: Sequence[LogSource]) -> list[FileAndReduction]:
+def _with_excerpts(logs: Sequence[LogSource], excerpts: Mapping[Path, Sequence[JointLog]]) -> list[LogSource]:
+    """Logs with the excerpts of a reduction in place of its file."""
+    replaced: list[LogSource] = []
+    for log in logs:
+        path = _path_of(log)
+        if path in excerpts:
+            replaced += [Log.from_record(excerpt) for excerpt in excerpts[path]]
+        else:
+            replaced.append(log)
+    return replaced
+
+
+def _read_reductions(logs: Sequence[LogSource], with_excerpts: bool) -> list[FileAndReduction]:
     """The files of `idtool reduce` among logs, and what is in them."""
     reductions = []
     for log in logs:
-        path = _reduction_path(log)
+        path = reduction_path(log)
         if path is not None:
             with local_copy(path) as file:
-                reductions.append((path, read_reduction(file)))
+                reductions.append((path, read_reduction(file, with_excerpts)))
     return reductions
 
 

@@ -8,7 +8,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
 
-from idtool.api.data import Logs, LogSource, as_list, call_text, changed_options, load_experiment
+from idtool.api.data import (
+    Logs,
+    LogSource,
+    as_list,
+    call_text,
+    changed_options,
+    load_with_excerpts,
+    reduction_path,
+)
+from idtool.api.distribution import open_distribution
 from idtool.api.effect_arguments import EffectAssumption, check_assumptions, parse_assumption, parse_candidates
 from idtool.api.log import Log
 from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, as_model, identified_urdf_text
@@ -33,6 +42,7 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
     from idtool.api.results import RecordingData
+    from idtool.diagnosis.diagnose import Options
 
 
 class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
@@ -119,6 +129,9 @@ def diagnose(
     assume: Sequence[str | EffectAssumption] = (),
     against: Logs = (),
     simulation: bool = True,
+    cluster: str | None = None,
+    reductions: str | os.PathLike[str] | None = None,
+    skip_bad: bool = False,
     progress: Progress | None = None,
 ) -> DiagnosisResult:
     """Find where model and data disagree, identify the missing effects and add them, like `idtool diagnose`.
@@ -130,7 +143,8 @@ def diagnose(
     model
         The model, or its URDF.
     logs
-        Paths of logs, which are read with the settings of the configuration, or `Log` objects.
+        Paths of logs, which are read with the settings of the configuration, or `Log` objects. Of a file of
+        `idtool.reduce`, the samples that it keeps are searched: some of each log.
     validate
         Whole logs for validation. If they are given, no part of the other logs is held out.
     holdout
@@ -152,6 +166,14 @@ def diagnose(
         folder with a log of the same name for each. They are in SI units, whatever ``log.scale`` says.
     simulation
         True to simulate the models too.
+    cluster
+        Dask cluster that reads the logs: the address or JSON file of its scheduler, or ``local:N`` for N processes on
+        this machine. Some samples of each log are then searched, here.
+    reductions
+        Folder for the reductions that the cluster makes of the logs, which a later call takes up; None: they are not
+        kept.
+    skip_bad
+        True to leave out logs that cannot be used; a notice names each.
     progress
         Function that is called with the name of a stage and the fraction of it that is done; None: no reports.
 
@@ -168,17 +190,12 @@ def diagnose(
     >>> diagnosis.verdict
     'no_disagreement'
     """
-    from idtool.diagnosis.comparison import compare
-    from idtool.diagnosis.diagnose import Options
-    from idtool.diagnosis.diagnose import diagnose as search
-
     report_progress = progress or ignore_progress
-    if most < 1:
-        raise ConfigError("--max-effects", f"{most} is too few; give 1 or more")
-    if budget is not None and not budget >= 0:
-        raise ConfigError("--budget", f"{budget:g} s is no time; give 0 or more")
-    candidates = None if effects is None else parse_candidates(effects)
-    assumptions = tuple(parse_assumption(text) for text in assume)
+    model = as_model(model)
+    search = search_options(inertia, effects, most, budget, assume, against, simulation)
+    check_simulator_logs(model, logs, against, cluster, skip_bad)
+    with open_distribution(cluster, Path(reductions) if reductions else None, report_progress) as distribution:
+        experiment = load_with_excerpts(model, logs, validate, holdout, report_progress, distribution, skip_bad)
     options = changed_options(
         diagnose,
         holdout=holdout,
@@ -189,30 +206,119 @@ def diagnose(
         assume=assume,
         against=[str(_path(log)) for log in as_list(against)] or (),
         simulation=simulation,
+        cluster=cluster,
+        skip_bad=skip_bad,
     )
+    made_by = call_text("diagnose", model, logs, validate=validate, **options)
+    return diagnose_experiment(model, experiment, search, paired_logs(logs, against), holdout, made_by, report_progress)
+
+
+def search_options(
+    inertia: Literal["refit", "fixed"] | None,
+    effects: Sequence[str] | None,
+    most: int,
+    budget: float | None,
+    assume: Sequence[str | EffectAssumption],
+    against: Logs,
+    simulation: bool,
+) -> Options:
+    """Options of a search, of the parameters of `diagnose`.
+
+    Raises
+    ------
+    ConfigError
+        If one of them makes no sense.
+    """
+    from idtool.diagnosis.diagnose import Options
+
+    if most < 1:
+        raise ConfigError("--max-effects", f"{most} is too few; give 1 or more")
+    if budget is not None and not budget >= 0:
+        raise ConfigError("--budget", f"{budget:g} s is no time; give 0 or more")
+    candidates = None if effects is None else parse_candidates(effects)
+    assumptions = tuple(parse_assumption(text) for text in assume)
     if inertia is None:
         inertia = "fixed" if as_list(against) else "refit"
-    model = as_model(model)
-    simulated_logs = _paired(logs, against)
-    if simulated_logs:
-        model.settings.require_only_joints("diagnose --against")
-    experiment = load_experiment(model, logs, validate, holdout, report_progress)
-    check_assumptions(assumptions, experiment.model)
-    search_options = Options(inertia, candidates, most, assumptions, simulation, budget)
+    return Options(inertia, candidates, most, assumptions, simulation, budget)
+
+
+def check_simulator_logs(model: Model, logs: Logs, against: Logs, cluster: str | None, skip_bad: bool) -> None:
+    """Refuse logs of a simulator with a model, logs or options for which they cannot be compared.
+
+    Parameters
+    ----------
+    model, logs, against, cluster, skip_bad
+        As in `diagnose`.
+
+    Raises
+    ------
+    ConfigError
+        If there are such.
+    """
+    if not as_list(against):
+        return
+    model.settings.require_only_joints("diagnose --against")
+    if cluster is not None:
+        raise ConfigError("--cluster", "cannot be combined with --against, which compares whole logs")
+    if skip_bad:
+        raise ConfigError(
+            "--skip-bad", "cannot be combined with --against, which needs each log; leave the bad one out"
+        )
+    if any(reduction_path(log) is not None for log in (*as_list(logs), *as_list(against))):
+        raise ConfigError("--against", "needs the logs themselves, not their reductions")
+
+
+def diagnose_experiment(
+    model: Model,
+    experiment: Experiment,
+    search: Options,
+    simulated_logs: Sequence[LogSource],
+    holdout: float,
+    made_by: str,
+    progress: Progress,
+) -> DiagnosisResult:
+    """Diagnose an experiment, which holds model and logs.
+
+    Parameters
+    ----------
+    model
+        The model.
+    experiment
+        Model and data.
+    search
+        Options of the search.
+    simulated_logs
+        Log of a simulator for each of the logs; empty: the model itself is searched for missing effects.
+    holdout
+        As in `diagnose`.
+    made_by
+        Call or command that the HTML report shows.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
+
+    Raises
+    ------
+    IdtoolError
+        As in `diagnose`.
+    """
+    from idtool.diagnosis.comparison import compare
+    from idtool.diagnosis.diagnose import diagnose as run_search
+
+    check_assumptions(search.assumed, experiment.model)
     comparison = None
     if simulated_logs:
         simulated = _simulator_experiment(model, simulated_logs, experiment, holdout)
-        comparison = compare(experiment, simulated, search_options, report_progress)
+        comparison = compare(experiment, simulated, search, progress)
         diagnosis = comparison.measured
     else:
-        diagnosis = search(experiment, search_options, report_progress)
-    result = DiagnosisResult.from_result(diagnosis_report(diagnosis, inertia, comparison))
+        diagnosis = run_search(experiment, search, progress)
+    result = DiagnosisResult.from_result(diagnosis_report(diagnosis, search.inertia, comparison))
     result._diagnosis = diagnosis
-    result._made_by = call_text("diagnose", model, logs, validate=validate, **options)
+    result._made_by = made_by
     return result
 
 
-def _paired(logs: Logs, against: Logs) -> list[LogSource]:
+def paired_logs(logs: Logs, against: Logs) -> list[LogSource]:
     """The simulator's log of each log; empty if there are none."""
     simulated = as_list(against)
     if not simulated:

@@ -110,12 +110,20 @@ def reduce_logs(
     model = as_model(model)
     model.settings.require_only_joints("reduce")  # the noise of other rows is that of all logs together
     experiment = load_experiment(
-        model, logs, (), holdout, progress, takes_reductions=True, distribution=distribution, skip_bad=skip_bad
+        model,
+        logs,
+        (),
+        holdout,
+        progress,
+        takes_reductions=True,
+        distribution=distribution,
+        skip_bad=skip_bad,
+        with_excerpts=True,
     )
     if isinstance(experiment, ReducedExperiment):
         reduction = merged_reduction(experiment, holdout)
     else:
-        reduction = save_reduction(experiment, holdout, progress)
+        reduction = save_reduction(experiment, holdout, progress, keeps_excerpts=True)
     progress("writing", 0.0)
     write_reduction(file, reduction)
     if distribution is not None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from idtool.cli.app import IDENTIFY_AND_CHECK, app
 from idtool.cli.options import (
+    REDUCTIONS,
     AgainstOption,
     AssumeOption,
     BudgetOption,
+    ClusterOption,
     ConfigOption,
     EffectsOption,
     ExplainOption,
@@ -21,9 +23,11 @@ from idtool.cli.options import (
     QuietOption,
     ReportOnlyOption,
     RerunOption,
+    SkipBadOption,
     UrdfArgument,
     ValidateOption,
     command_line,
+    distribution_of,
     finish,
     output_folder,
 )
@@ -52,11 +56,14 @@ def diagnose_command(
     no_simulation: NoSimulationOption = False,
     rerun: RerunOption = None,
     jobs: JobsOption = None,
+    cluster: ClusterOption = None,
+    skip_bad: SkipBadOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Find where model and data disagree, identify the missing effects, and add them to the model."""
-    from idtool.api.diagnose import diagnose
+    from idtool.api.data import load_with_excerpts
+    from idtool.api.diagnose import check_simulator_logs, diagnose_experiment, paired_logs, search_options
     from idtool.api.model import Model
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.diagnosis import show_diagnosis
@@ -64,26 +71,22 @@ def diagnose_command(
     terminal = Terminal(quiet, as_json)
     folder = output_folder(urdf, out)
     effect_ids = None if effects is None else effects.split(",")
+    simulator_logs = against or []
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
-        result = diagnose(
-            model,
-            logs,
-            validate=validate or (),
-            holdout=holdout,
-            inertia=inertia,
-            effects=effect_ids,
-            most=max_effects,
-            budget=budget,
-            assume=assume or (),
-            against=against or (),
-            simulation=not no_simulation,
-            progress=progress,
+        search = search_options(
+            inertia, effect_ids, max_effects, budget, assume or [], simulator_logs, simulation=not no_simulation
         )
+        check_simulator_logs(model, logs, simulator_logs, cluster, skip_bad)
+        simulated = paired_logs(logs, simulator_logs)
+        with distribution_of(cluster, folder / REDUCTIONS, terminal, progress) as distribution:
+            experiment = load_with_excerpts(model, logs, validate or (), holdout, progress, distribution, skip_bad)
+        made_by = command_line()
+        result = diagnose_experiment(model, experiment, search, simulated, holdout, made_by, progress)
         progress("writing", 0.0)
         if not report_only:
             result = result.saved_in(folder)
-        files = result.save(folder, command_line(), report_only)
+        files = result.save(folder, made_by, report_only)
         if rerun:
             result.rerun(rerun)
     show_diagnosis(terminal, result, folder, tuple(file.name for file in files), explain)

@@ -147,8 +147,8 @@ ClusterOption = Annotated[
         "--cluster",
         metavar="ADDRESS|local:N",
         help="Dask cluster that reads the logs: address or JSON file of its scheduler, or local:N for N processes on "
-        "this machine. There is then no simulation and no search for faults of the data. Needs the extra 'cluster' of "
-        "idtool.",
+        "this machine. A fit then has no simulation and no search for faults of the data, and a diagnosis searches "
+        "some samples of each log. Needs the extra 'cluster' of idtool.",
     ),
 ]
 SkipBadOption = Annotated[

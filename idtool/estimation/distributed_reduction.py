@@ -144,7 +144,7 @@ def _reduced(task: LogTask) -> bytes:
     if experiment.has_commands and controller is not None and controller.known_delay is None:
         what = "is not fitted on a cluster, since it is that of all logs together"
         raise ConfigError("controller.delay", f"{what}; fit one log without --cluster, and give its delay in s")
-    return reduction_bytes(save_reduction(experiment, task.holdout, no_progress, task.log_count))
+    return reduction_bytes(save_reduction(experiment, task.holdout, no_progress, task.log_count, keeps_excerpts=True))
 
 
 def reduce_on_cluster(
@@ -159,6 +159,7 @@ def reduce_on_cluster(
     needs_training: bool,
     needs_validation: bool,
     progress: Progress,
+    with_excerpts: bool = False,
 ) -> ReducedLogs:
     """Reduce logs on a cluster.
 
@@ -180,6 +181,8 @@ def reduce_on_cluster(
         True if one of the logs for the fit, or for validation, must be left.
     progress
         Callback for the stage and its progress, from 0 to 1.
+    with_excerpts
+        True to return the excerpts of the logs too.
 
     Raises
     ------
@@ -193,7 +196,7 @@ def reduce_on_cluster(
     tasks = []
     for path, own_holdout in zip((*logs, *validate), holdouts, strict=True):
         tasks.append(LogTask(robot, config, path, own_holdout, log_count))
-    reductions, failures = _reductions(cluster, dict(enumerate(tasks)), folder, progress)
+    reductions, failures = _reductions(cluster, dict(enumerate(tasks)), folder, progress, with_excerpts)
 
     def check() -> None:
         """Raise if a log cannot be used and is not to be skipped, or if none is left for the fit or validation."""
@@ -208,7 +211,7 @@ def reduce_on_cluster(
     for i, reduction in reductions.items():
         if common is not None and not _has_settings(reduction, common):
             differing[i] = replace(tasks[i], config=config.model_copy(update=common.changes(config)))
-    second_reductions, second_failures = _reductions(cluster, differing, folder, progress)
+    second_reductions, second_failures = _reductions(cluster, differing, folder, progress, with_excerpts)
     reductions |= second_reductions
     failures |= second_failures
     check()
@@ -254,7 +257,7 @@ def _has_settings(reduction: SavedReduction, common: _CommonSettings) -> bool:
 
 
 def _reductions(
-    cluster: Cluster, tasks: Mapping[int, LogTask], folder: Path, progress: Progress
+    cluster: Cluster, tasks: Mapping[int, LogTask], folder: Path, progress: Progress, with_excerpts: bool
 ) -> tuple[dict[int, SavedReduction], dict[int, LogError]]:
     """Reductions of logs, and the errors of those that have none, by their numbers."""
     reductions: dict[int, SavedReduction] = {}
@@ -264,7 +267,7 @@ def _reductions(
     for i, task in tasks.items():
         name = task.file_name
         files[i] = folder / (name or f"{task.log_name}{REDUCTION_SUFFIX}")
-        reduction = _written_reduction(files[i]) if name else None
+        reduction = _written_reduction(files[i], with_excerpts) if name else None
         if reduction is None:
             missing.append(i)
         else:
@@ -273,7 +276,7 @@ def _reductions(
         i = missing[k]
         if isinstance(outcome, bytes):
             _write(files[i], tasks[i].log_name, outcome)
-            reductions[i] = parse_reduction(files[i], outcome)
+            reductions[i] = parse_reduction(files[i], outcome, with_excerpts)
         else:
             failures[i] = outcome
             _raise_common_error(failures.values(), len(reductions), min(len(tasks), cluster.threads + 1))
@@ -284,10 +287,10 @@ def _reductions(
     return reductions, {i: _log_error(tasks[i].path, error) for i, error in failures.items()}
 
 
-def _written_reduction(file: Path) -> SavedReduction | None:
+def _written_reduction(file: Path, with_excerpts: bool) -> SavedReduction | None:
     """The reduction in a file; None if there is none that can be used."""
     try:
-        return read_reduction(file) if file.is_file() else None
+        return read_reduction(file, with_excerpts) if file.is_file() else None
     except LogError:  # it is made again
         return None
 

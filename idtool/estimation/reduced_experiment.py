@@ -100,7 +100,11 @@ class ReducedExperiment(Experiment):
 
 
 def save_reduction(
-    experiment: Experiment, holdout: float, progress: Progress, log_count: int | None = None
+    experiment: Experiment,
+    holdout: float,
+    progress: Progress,
+    log_count: int | None = None,
+    keeps_excerpts: bool = False,
 ) -> SavedReduction:
     """Reduce the logs of an experiment.
 
@@ -114,6 +118,8 @@ def save_reduction(
         Callback for the stage and its progress, from 0 to 1.
     log_count
         Number of logs that are used together, of which these are some; None: there are no others.
+    keeps_excerpts
+        If true, an excerpt of each log is kept, for a diagnosis.
 
     Raises
     ------
@@ -139,7 +145,7 @@ def save_reduction(
         holdout=holdout,
         notices=tuple(notices),
         files=experiment.sources,
-        logs=reduce_logs(experiment, progress, log_count, divides_held_out=True, draws_rows=True),
+        logs=reduce_logs(experiment, progress, log_count, True, draws_rows=True, keeps_excerpts=keeps_excerpts),
     )
 
 

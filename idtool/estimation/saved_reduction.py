@@ -2,7 +2,8 @@
 
 A file is a ZIP archive that is not compressed, so that its size bounds what it takes to read it: ``header.json``, with
 the shape of each array by name, and ``arrays.bin``, the numbers of all arrays one after the other, as float64 of the
-lowest byte first. Its name ends in ``.idr``.
+lowest byte first. Excerpts of the logs, which a diagnosis needs and a fit does not, are in ``excerpts.bin`` likewise.
+Its name ends in ``.idr``.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import json
 import math
 import os
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, cast
@@ -27,6 +28,8 @@ from idtool.common.outputs import OutputError
 from idtool.common.provenance import InputFile
 from idtool.common.urls import log_path
 from idtool.common.version import VERSION
+from idtool.data.logs import SIGNALS, JointLog
+from idtool.data.logs.log import Channel
 from idtool.estimation.dataset.drawn_rows import DrawnRows
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.extreme_rows import ExtremeRows
@@ -36,8 +39,8 @@ from idtool.estimation.dataset.reduction import Factor
 
 CoefficientKey = tuple[str, str, str, tuple[float, ...]]  # effect, owner, name and instance
 
-_VERSION = 3  # of the format
-_HEADER, _ARRAYS = "header.json", "arrays.bin"
+_VERSION = 4  # of the format
+_HEADER, _ARRAYS, _EXCERPTS = "header.json", "arrays.bin", "excerpts.bin"
 _NUMBER = np.dtype("<f8")
 _MAX_HEADER = 64 << 20  # bytes
 _EXCLUDED = -1  # in place of the number of a block: the rows that don't count
@@ -104,8 +107,8 @@ def reduction_bytes(reduction: SavedReduction) -> bytes:
     return content.getvalue()
 
 
-def read_reduction(path: Path) -> SavedReduction:
-    """Read a file.
+def read_reduction(path: Path, with_excerpts: bool = False) -> SavedReduction:
+    """Read a file; its excerpts only if they are asked for.
 
     Raises
     ------
@@ -114,12 +117,12 @@ def read_reduction(path: Path) -> SavedReduction:
     """
     try:
         with path.open("rb") as file:
-            return _parse(path, file, path.stat().st_size)
+            return _parse(path, file, path.stat().st_size, with_excerpts)
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror or error}") from None
 
 
-def parse_reduction(path: Path, content: bytes) -> SavedReduction:
+def parse_reduction(path: Path, content: bytes, with_excerpts: bool = False) -> SavedReduction:
     """Read the content of a file.
 
     Parameters
@@ -128,33 +131,44 @@ def parse_reduction(path: Path, content: bytes) -> SavedReduction:
         The file, for messages.
     content
         Its bytes.
+    with_excerpts
+        True to read its excerpts too.
 
     Raises
     ------
     LogError
         If it is not that of such a file or damaged, or of a format that this version does not know.
     """
-    return _parse(path, io.BytesIO(content), len(content))
+    return _parse(path, io.BytesIO(content), len(content), with_excerpts)
 
 
-def _parse(path: Path, file: BinaryIO, size: int) -> SavedReduction:
+def _parse(path: Path, file: BinaryIO, size: int, with_excerpts: bool) -> SavedReduction:
     try:
         with zipfile.ZipFile(file) as archive:
             _check_size(size, archive)
-            return _read(path, archive)
+            return _read(path, archive, with_excerpts)
     except (zipfile.BadZipFile, KeyError, ValueError, TypeError, IndexError, EOFError, NotImplementedError):
         raise LogError(path, "is not a reduction, or is damaged; make it again with idtool reduce") from None
 
 
 def _write(file: BinaryIO, reduction: SavedReduction) -> None:
-    shapes = {}
     with zipfile.ZipFile(file, "w") as archive:
-        with archive.open(_ARRAYS, "w", force_zip64=True) as member:
-            for name, array in _arrays(reduction):
-                member.write(np.ascontiguousarray(array, _NUMBER).data.cast("B"))
-                shapes[name] = array.shape
-        header = {**_header(reduction), "arrays": shapes}
+        shapes = _write_arrays(archive, _ARRAYS, _arrays(reduction))
+        excerpt_shapes = _write_arrays(archive, _EXCERPTS, _excerpt_arrays(reduction.logs))
+        header = {**_header(reduction), "arrays": shapes, "excerpt_arrays": excerpt_shapes}
         archive.writestr(_HEADER, json.dumps(header, allow_nan=False))
+
+
+def _write_arrays(
+    archive: zipfile.ZipFile, member_name: str, arrays: Iterable[tuple[str, NDArray[Any]]]
+) -> dict[str, tuple[int, ...]]:
+    """Write arrays one after the other; returns their shapes by name."""
+    shapes = {}
+    with archive.open(member_name, "w", force_zip64=True) as member:
+        for name, array in arrays:
+            member.write(np.ascontiguousarray(array, _NUMBER).data.cast("B"))
+            shapes[name] = array.shape
+    return shapes
 
 
 def _check_size(size: int, archive: zipfile.ZipFile) -> None:
@@ -192,6 +206,20 @@ def _log_header(log: ReducedLog) -> dict[str, Any]:
         "block_rows": log.block_rows,
         "train": [_part_header(part) for part in log.train],
         "held_out": [_part_header(part) for part in log.held_out],
+        "excerpt": None if log.excerpt is None else _excerpt_header(log.excerpt),
+    }
+
+
+def _excerpt_header(excerpt: JointLog) -> dict[str, Any]:
+    return {
+        "joints": excerpt.joints,
+        "signals": list(excerpt.signals),
+        "channels": list(excerpt.channels),
+        "segments": [[part.start, part.stop] for part in excerpt.segments],
+        "dt": excerpt.dt,
+        "notices": [asdict(notice) for notice in excerpt.notices],
+        "sources": [asdict(file) for file in excerpt.sources],
+        "preset": excerpt.preset,
     }
 
 
@@ -240,7 +268,19 @@ def _arrays(reduction: SavedReduction) -> Iterator[tuple[str, NDArray[Any]]]:
                 yield f"{name}/{j}/series_{k}", series[j]
 
 
-def _read(path: Path, archive: zipfile.ZipFile) -> SavedReduction:
+def _excerpt_arrays(logs: Sequence[ReducedLog]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """The arrays of the excerpts with their names."""
+    for i, log in enumerate(logs):
+        if log.excerpt is None:
+            continue
+        yield f"{i}/t", log.excerpt.t
+        for name, signal in log.excerpt.signals.items():
+            yield f"{i}/signals/{name}", signal
+        for name, channel in log.excerpt.channels.items():
+            yield f"{i}/channels/{name}", np.stack([channel.t, channel.x])
+
+
+def _read(path: Path, archive: zipfile.ZipFile, with_excerpts: bool) -> SavedReduction:
     header = json.loads(archive.read(_HEADER))
     if header["format"] != "idtool reduction":
         raise ValueError
@@ -248,12 +288,8 @@ def _read(path: Path, archive: zipfile.ZipFile) -> SavedReduction:
         what = f"has version {header['version']} of the format; this is idtool {VERSION}, which reads {_VERSION}"
         raise LogError(path, f"{what}: make it again with idtool reduce")
 
-    numbers = np.empty(archive.getinfo(_ARRAYS).file_size // _NUMBER.itemsize, _NUMBER)
-    with cast("io.BufferedIOBase", archive.open(_ARRAYS)) as member:
-        bytes_read = member.readinto(numbers.data.cast("B"))
-        if bytes_read != numbers.nbytes or member.read(1):  # at the end, its checksum is checked
-            raise ValueError
-    arrays = _split_arrays(header["arrays"], numbers)
+    arrays = _read_arrays(archive, _ARRAYS, header["arrays"])
+    excerpt_arrays = _read_arrays(archive, _EXCERPTS, header["excerpt_arrays"]) if with_excerpts else {}
     logs = []
     for i, log in enumerate(header["logs"]):
         parts: dict[str, list[ReducedPart]] = {"train": [], "held_out": []}
@@ -269,6 +305,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> SavedReduction:
                 block_rows=int(log["block_rows"]),
                 train=tuple(parts["train"]),
                 held_out=tuple(parts["held_out"]),
+                excerpt=_excerpt(i, log, excerpt_arrays) if with_excerpts else None,
             )
         )
     return SavedReduction(
@@ -281,6 +318,53 @@ def _read(path: Path, archive: zipfile.ZipFile) -> SavedReduction:
         files=tuple(InputFile(**file) for file in header["files"]),
         logs=tuple(logs),
     )
+
+
+def _excerpt(number: int, log: Mapping[str, Any], arrays: Mapping[str, Array]) -> JointLog | None:
+    """The excerpt of the log of a number, of which the header is given; ValueError or KeyError if it does not fit."""
+    header = log["excerpt"]
+    if header is None:
+        return None
+    t = arrays[f"{number}/t"]
+    joints = tuple(map(str, header["joints"]))
+    signals = {name: arrays[f"{number}/signals/{name}"] for name in header["signals"]}
+    segments = [slice(int(start), int(stop)) for start, stop in header["segments"]]
+    ends = [0, *(end for part in segments for end in (part.start, part.stop)), len(t)]
+    have_one_length = all(values.shape == (len(t), len(joints)) for values in signals.values())
+    are_known = "q" in signals and set(signals) <= set(SIGNALS)
+    have_times = (
+        header["dt"] > 0 and bool(np.isfinite(t).all()) and all(part.stop - part.start > 1 for part in segments)
+    )
+    if not (segments and ends == sorted(ends) and have_one_length and are_known and have_times):
+        raise ValueError
+    channels = {}
+    for name in header["channels"]:
+        times, values = arrays[f"{number}/channels/{name}"]
+        channels[str(name)] = Channel(times, values)
+    return JointLog(
+        path=_path(log["path"]),
+        joints=joints,
+        t=t,
+        signals=signals,
+        segments=tuple(segments),
+        dt=float(header["dt"]),
+        notices=tuple(Notice(**notice) for notice in header["notices"]),
+        sources=tuple(InputFile(**file) for file in header["sources"]),
+        channels=channels,
+        unknown_torque=tuple(log["unknown_torque"]),
+        preset=header["preset"],
+        is_excerpt=True,
+    )
+
+
+def _read_arrays(archive: zipfile.ZipFile, member_name: str, shapes: Mapping[str, Sequence[int]]) -> dict[str, Array]:
+    """The arrays of a member by name; ValueError if there are not as many numbers as their shapes say."""
+    numbers = np.empty(archive.getinfo(member_name).file_size // _NUMBER.itemsize, _NUMBER)
+    with cast("io.BufferedIOBase", archive.open(member_name)) as member:
+        bytes_read = member.readinto(numbers.data.cast("B"))
+        if bytes_read != numbers.nbytes or member.read(1):  # at the end, its checksum is checked
+            raise ValueError
+    return _split_arrays(shapes, numbers)
 
 
 def _split_arrays(shapes: Mapping[str, Sequence[int]], numbers: Array) -> dict[str, Array]:

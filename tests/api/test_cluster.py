@@ -124,6 +124,21 @@ def test_a_study_is_that_of_one_process(
     assert len(list((tmp_path / "reductions").glob("*.idr"))) == len(logs)
 
 
+def test_a_diagnosis_searches_samples_of_each_log(scheduler: str, logs: list[Path], tmp_path: Path) -> None:
+    """The logs are shorter than what is kept of them, so that it is the diagnosis of the logs."""
+    bad = tmp_path / "bad.csv"
+    bad.write_text("t,q_hip\n")
+    arguments = ["diagnose", LEG, *logs, bad, "--skip-bad", "--effects", "parallel_spring", "--no-simulation", "--json"]
+    done = idtool(*arguments, "--cluster", scheduler, "--out", tmp_path / "out")
+    assert done.code == 0, done.err
+    expected = idtool(*arguments, "--out", tmp_path / "expected").json
+    for key in ("verdict", "steps", "before", "noise_floor", "logs"):
+        assert_same_figures(done.json[key], expected[key], key)
+    left_out = [notice["subject"] for notice in done.json["notices"] if notice["code"] == "log_left_out"]
+    assert left_out == ["bad.csv"]
+    assert len(list((tmp_path / "out" / "reductions").glob("*.idr"))) == len(logs)
+
+
 def test_a_process_on_this_machine_reduces_logs_to_one_file(
     logs: list[Path], from_logs: package.FitResult, tmp_path: Path
 ) -> None:

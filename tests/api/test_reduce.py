@@ -17,8 +17,9 @@ from figures import assert_same_figures
 from paths import SAMPLES
 
 import idtool as package
+from idtool.estimation.saved_reduction import read_reduction, write_reduction
 
-OTHERS = "give the log (fit, validate and study take reductions)"
+OTHERS = "give the log (fit, validate, study and diagnose take reductions)"
 FIGURES = ("bodies", "friction", "friction_intervals", "rms", "rms_raw", "noise", "samples", "regularization", "nrms")
 UNCERTAINTY = ("torque_standard_error", "torque_standard_error_largest", "torque_undetermined", "independent_samples")
 
@@ -175,6 +176,7 @@ DAMAGE: dict[str, Callable[[Path], bytes]] = {
     "no JSON": rewritten("header.json", lambda data: b"{"),
     "a list": rewritten("header.json", lambda data: b"[1]"),
     "another format": rewritten("header.json", header_with(format="another")),
+    "no excerpts": rewritten("excerpts.bin", lambda data: b""),
     "no logs": rewritten("header.json", header_with(logs=None)),
     "settings that are none": rewritten("header.json", header_with(settings=3)),
     "numbers that are none": rewritten("header.json", header_with(band_hz="wide")),
@@ -187,7 +189,7 @@ def test_a_damaged_file_is_refused_in_one_line(
 ) -> None:
     file = tmp_path / "log.idr"
     file.write_bytes(damage(reduction))
-    result = idtool("fit", LEG, file, "--out", tmp_path / "out")
+    result = idtool("diagnose", LEG, file, "--out", tmp_path / "out")
     assert result.code == 2
     assert result.err == f"error: {file}: is not a reduction, or is damaged; make it again with idtool reduce\n"
 
@@ -212,12 +214,64 @@ def test_a_later_format_is_named(reduction: Path, tmp_path: Path) -> None:
         package.fit(LEG, file)
 
 
-@pytest.mark.parametrize("command", ["diagnose", "adapt", "simulate", "inspect"])
+@pytest.mark.parametrize("command", ["adapt", "simulate", "inspect"])
 def test_other_commands_need_the_log(reduction: Path, tmp_path: Path, command: str) -> None:
     arguments = [reduction] if command == "inspect" else [LEG, reduction, "--out", tmp_path / "out.csv"]
     result = idtool(command, *arguments)
     assert result.code == 2
-    assert result.err == f"error: {reduction}: is a reduction, which has no samples; {OTHERS}\n"
+    assert result.err == f"error: {reduction}: is a reduction of a log; {OTHERS}\n"
+
+
+def with_spring(file: Path, stiffness: float, source: Path = TRAIN) -> Path:
+    """A log of the sample leg with a spring at the knee, written to a file."""
+    log = package.Log(source)
+    tau = log.tau.copy()
+    tau[:, 2] += stiffness * log.q[:, 2]
+    return package.Log.from_arrays(file.name, log.t, log.joints, q=log.q, v=log.v, tau=tau).save(file)
+
+
+SEARCH = {"effects": ["parallel_spring", "quadratic_drag"], "simulation": False}
+
+
+def test_a_diagnosis_of_a_short_log_is_that_of_the_log(tmp_path: Path) -> None:
+    """A reduction keeps all samples of it."""
+    log = with_spring(tmp_path / "spring.mcap", 3.0)
+    package.reduce(LEG, log, tmp_path / "spring.idr")
+    of_log = package.diagnose(LEG, log, **SEARCH).to_json()
+    of_reduction = package.diagnose(LEG, tmp_path / "spring.idr", **SEARCH).to_json()
+    assert [(step["effect"], step["joint"]) for step in of_reduction["steps"]] == [("parallel_spring", "knee")]
+    for key in ("steps", "before", "after", "noise_floor", "verdict", "logs", "data_faults", "notices"):
+        assert of_reduction[key] == of_log[key], key
+
+
+def test_a_diagnosis_of_long_logs_uses_windows_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of each log is enough to name the spring and to tell its stiffness; what is between is no lost time."""
+    monkeypatch.setattr("idtool.estimation.dataset.reduced_logs._EXCERPT_SECONDS", (10.0, 10.0))
+    monkeypatch.setattr("idtool.estimation.dataset.reduced_logs._WINDOW_SECONDS", 1.0)
+    logs = [with_spring(tmp_path / source.name, 3.0, source) for source in (TRAIN, VALIDATE)]
+    package.reduce(LEG, logs, tmp_path / "both.idr")
+    result = package.diagnose(LEG, tmp_path / "both.idr", **SEARCH)
+    (step,) = result.steps
+    assert (step.effect, step.joint) == ("parallel_spring", "knee")
+    assert step.parameters["stiffness"] == pytest.approx(3.0, rel=0.05)
+    assert not [fault for fault in result.data_faults if fault.fault == "dropped_samples"]
+    (notice,) = [notice for notice in result.notices if notice.code == "excerpts_used"]
+    assert notice.message.startswith("samples of 10 s are used, of the ")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("idtool.estimation.reduction_excerpts._MAX_SECONDS", 5.0)
+        of_one = package.diagnose(LEG, tmp_path / "both.idr", **SEARCH)
+    assert of_one.logs == (str(logs[0]),)
+
+
+def test_reductions_without_samples_and_of_logs_read_otherwise_are_refused(reduction: Path, tmp_path: Path) -> None:
+    write_reduction(tmp_path / "none.idr", read_reduction(reduction))
+    with pytest.raises(package.LogError, match=r"has no samples of leg_train\.mcap; make it again with idtool reduce"):
+        package.diagnose(LEG, tmp_path / "none.idr")
+    scaled = package.Model(LEG, settings(log={"scale": {"tau": {"hip": 2.0}}}))
+    with pytest.raises(package.LogError, match=r"was made with another log\.scale"):
+        package.diagnose(scaled, reduction)
+    with pytest.raises(package.ConfigError, match="--against: needs the logs themselves"):
+        package.diagnose(LEG, reduction, against=VALIDATE)
 
 
 def test_logs_and_reductions_are_fitted_together(reduction: Path, validation: Path) -> None:

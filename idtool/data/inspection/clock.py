@@ -99,6 +99,8 @@ def first_and_last(t: Array) -> tuple[float, float]:
 def gaps(log: JointLog) -> tuple[Gap, ...]:
     """Time that was lost between segments, the longest first; rows left out for their values are not lost time."""
     first, _ = first_and_last(log.t)
+    if log.is_excerpt:  # what is between the windows was left out on purpose
+        return ()
     time_gaps = []
     for before, after in zip(log.segments[:-1], log.segments[1:], strict=True):
         # several stamps to either side, extrapolated to the gap: a single one may be off

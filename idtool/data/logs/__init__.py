@@ -166,7 +166,7 @@ def _read(
         raise LogError(path, f"is compressed with gzip; run 'gunzip -k {shlex.quote(str(path))}' first")
     if path.suffix.lower() == REDUCTION_SUFFIX:
         raise LogError(
-            path, "is a reduction, which has no samples; give the log (fit, validate and study take reductions)"
+            path, "is a reduction of a log; give the log (fit, validate, study and diagnose take reductions)"
         )
     raise LogError(path, f"is not a log in a supported format ({' or '.join(log_suffixes())}; CSV must be UTF-8)")
 

@@ -105,6 +105,8 @@ class JointLog:
         Joints whose torque was not logged, and is 0 in ``signals``.
     preset
         Preset that names the joints, which the messages do not; None: they are named in the file or by the options.
+    is_excerpt
+        True if samples between the segments were left out on purpose.
     """
 
     path: Path
@@ -118,6 +120,7 @@ class JointLog:
     channels: Mapping[str, Channel] = field(default_factory=dict)
     unknown_torque: tuple[str, ...] = ()
     preset: str | None = None
+    is_excerpt: bool = False
 
     def __len__(self) -> int:
         return len(self.t)

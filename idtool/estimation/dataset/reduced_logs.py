@@ -10,6 +10,8 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.data.batches import Batches
+from idtool.data.excerpt import excerpt_of, seconds_within
+from idtool.data.logs import JointLog
 from idtool.data.signals import Batch
 from idtool.dynamics.regressor import LinearModel
 from idtool.dynamics.row_filter import Shares
@@ -36,6 +38,9 @@ _DRAWN_BYTES = 8 << 20  # that rows drawn at random may take, of all logs
 _DRAWN_ROWS = (64, 4096)  # fewest, however much memory they take, and most rows drawn at random from a log
 _BINS = (24, 2000)  # fewest and most stretches of time in the curves of a log
 _MIN_SERIES_ROWS = 256  # of a log, however much memory they take
+_EXCERPT_BYTES = 32 << 20  # that excerpts may take, of all logs
+_EXCERPT_SECONDS = (30.0, 180.0)  # shortest, however much memory it takes, and longest excerpt, of all logs
+_WINDOW_SECONDS = 5.0  # of an excerpt: each log has one at least
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,8 @@ class ReducedLog:
         Number of rows in a block of time.
     train, held_out
         Its parts for fitting and for validation, in the order of time.
+    excerpt
+        Windows of its samples as logged; None: they are not kept, or not read.
     """
 
     path: Path
@@ -65,6 +72,7 @@ class ReducedLog:
     block_rows: int
     train: tuple[ReducedPart, ...]
     held_out: tuple[ReducedPart, ...]
+    excerpt: JointLog | None = None
 
     @property
     def name(self) -> str:
@@ -96,6 +104,7 @@ def reduce_logs(
     log_count: int | None = None,
     divides_held_out: bool = False,
     draws_rows: bool = False,
+    keeps_excerpts: bool = False,
 ) -> tuple[ReducedLog, ...]:
     """Reduce logs in one pass.
 
@@ -112,6 +121,8 @@ def reduce_logs(
         If true, parts for validation are in blocks as well, so that they can be used for fitting.
     draws_rows
         If true, rows are drawn at random from each part, for a study of fits to fewer samples.
+    keeps_excerpts
+        If true, an excerpt of each log is kept, for a diagnosis.
     """
     equation = experiment.equation
     runs = experiment.runs
@@ -170,9 +181,16 @@ def reduce_logs(
                 block_rows=rows_per_block[i],
                 train=(parts[i, False],) if (i, False) in parts else (),
                 held_out=(parts[i, True],) if (i, True) in parts else (),
+                excerpt=_excerpt(log, log_count) if keeps_excerpts else None,
             )
         )
     return tuple(reduced)
+
+
+def _excerpt(log: JointLog, log_count: int) -> JointLog:
+    """Excerpt of one of so many logs, at the rate and with the signals of that log."""
+    of_all_logs = float(np.clip(seconds_within(log, _EXCERPT_BYTES), *_EXCERPT_SECONDS))
+    return excerpt_of(log, of_all_logs / log_count, _WINDOW_SECONDS)
 
 
 def training_blocks(experiment: Experiment, logs: Sequence[ReducedLog]) -> tuple[Blocks, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from idtool.data.excerpt import spread_windows
 from idtool.estimation.dataset.experiment import Experiment, Run
 
 _WINDOW = 3.0  # s
@@ -44,13 +45,4 @@ def _windows(run: Run, share: float) -> Iterator[slice]:
     """Windows with about a share of a log's training data, at least one of each part; all of one that is as short."""
     signals = run.signals
     length = max(round(_WINDOW / signals.log.dt), _WINDOW_IN_EDGES * signals.full_rate_low_pass.edge)
-    for part in run.train:
-        samples = part.stop - part.start
-        if samples <= length:
-            yield part
-            continue
-        count = min(max(round(share * samples / length), 1), samples // length)
-        spacing = samples / count
-        for i in range(count):
-            start = part.start + int((i + 0.5) * spacing - length / 2)
-            yield slice(start, start + length)
+    return spread_windows(run.train, share, length)
