@@ -27,7 +27,7 @@ from idtool.estimation.dataset.envelope import Envelope, Trace
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
 HORIZONS = (0.01, 0.05, 0.1, 0.5)  # s
-_LONGEST = 120.0  # s of open-loop motion that are simulated; of a longer log, windows spread over it
+_LONGEST = 60.0  # s of open-loop motion that are simulated; of a longer log, windows spread over it
 _DRAWN = 1000  # stretches of time in which the least and greatest position are drawn
 
 Kind = Literal["open_loop", "closed_loop"]
