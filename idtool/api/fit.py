@@ -21,6 +21,8 @@ from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.records import ProfilesByJoint
 from idtool.diagnosis.residual_maps import residual_maps
 from idtool.estimation.dataset.experiment import Experiment
+from idtool.estimation.dataset.training_sample import training_sample
+from idtool.estimation.evaluation.torque_errors import overall_rms
 from idtool.estimation.fit import Fit
 from idtool.estimation.fit import fit as run_fit
 from idtool.estimation.fleet import Fleet, fit_fleet
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 _UNCORRECTABLE_FAULTS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped_position")
 ROBOTS = "robots"  # folder with a folder for the model of each robot of a fleet
 _MAX_MASSES = 6  # in a result's repr
+_NOISE_SAMPLE = 30.0  # s of the training data, from which the noise floor is estimated
 
 
 class FitResult(FitReport, SavableResult, Recordable):
@@ -292,9 +295,29 @@ def fit_experiment(
         models = (experiment.equation.prior, solved.estimate.theta)
         prior_maps, identified_maps = in_processes(partial(residual_maps, solved.experiment), models, progress)
         maps = (prior_maps, identified_maps)
-    result = FitResult.from_result(fit_report(solved, fleet))
+    noise_floor = _noise_floor(solved, progress) if analyze_uncertainty and has_samples else None
+    result = FitResult.from_result(fit_report(solved, fleet, noise_floor))
     result._fit = solved
     result._fleet = fleet
     result._residual_maps = maps
     result._made_by = made_by
     return result
+
+
+def _noise_floor(solved: Fit, progress: Progress) -> dict[str, float | None]:
+    """Torque error that noise alone makes, by joint and ``overall``, from a sample of the training data.
+
+    None for joints that move too little, and ``overall`` if there are such.
+    """
+    from idtool.diagnosis.noise_floor import estimate_noise_floor
+
+    sample = training_sample(solved.experiment, _NOISE_SAMPLE)
+    floor = estimate_noise_floor(sample, solved.estimate.theta, progress, on_training_data=True)
+    by_joint: dict[str, float | None] = {}
+    for name, rms, is_known in zip(
+        solved.experiment.equation.joints, floor.rms.tolist(), floor.is_joint_estimated.tolist(), strict=True
+    ):
+        by_joint[name] = rms if is_known else None
+    known = [rms for rms in by_joint.values() if rms is not None]
+    by_joint["overall"] = overall_rms(known) if len(known) == len(by_joint) else None
+    return by_joint

@@ -27,7 +27,7 @@ from idtool.estimation.reduced_experiment import ReducedExperiment
 from idtool.reporting.fit_report import validation_report
 from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.validation import ValidationReport
-from idtool.reporting.simulation_report import simulation_report
+from idtool.reporting.simulation_report import simulation_report, why_not_simulated
 from idtool.robot.model import RobotModel
 
 if TYPE_CHECKING:
@@ -244,7 +244,15 @@ def validate_experiment(
     notices = [*experiment.notices, *held_out_offset_notices(evaluation), *simulation_notices(rollouts, "model")]
     model = experiment.model
     report = validation_report(
-        evaluation, model.units, experiment.band_hz, bounds, simulation, sources, notices, model.row_kinds
+        evaluation,
+        model.units,
+        experiment.band_hz,
+        bounds,
+        simulation,
+        sources,
+        notices,
+        model.row_kinds,
+        why_not_simulated(rollouts, "model", experiment),
     )
     result = ValidationResult.from_result(report)
     result._model = model

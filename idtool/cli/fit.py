@@ -19,11 +19,12 @@ from idtool.cli.options import (
     QuietOption,
     RerunOption,
     SkipBadOption,
+    StrictOption,
     UrdfArgument,
     ValidateOption,
     command_line,
     distribution_of,
-    finish,
+    finish_model,
     output_folder,
     parse_bounds,
 )
@@ -42,6 +43,7 @@ def fit_command(
     holdout: HoldoutOption = 0.3,
     validate: ValidateOption = None,
     max_rms: MaxRmsOption = None,
+    strict: StrictOption = False,
     no_simulation: NoSimulationOption = False,
     method: MethodOption = "ls",
     quick: QuickOption = False,
@@ -78,4 +80,4 @@ def fit_command(
             result.rerun(rerun)
     show_fit(terminal, result, folder)
     rms = result.rms.validation or result.rms.train
-    finish(terminal, result, met_bounds(rms, bounds))
+    finish_model(terminal, result, met_bounds(rms, bounds), strict)

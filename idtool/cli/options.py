@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from idtool.api.distribution import Distribution
     from idtool.estimation.dataset.experiment import Experiment
     from idtool.reporting.results.base import Result
+    from idtool.reporting.results.fit import FitReport
+    from idtool.reporting.results.validation import ValidationReport
     from idtool.reporting.terminal import Terminal
 
 
@@ -163,6 +165,9 @@ MaxRmsOption = Annotated[
         "exit code 1 if it is exceeded; repeatable.",
     ),
 ]
+StrictOption = Annotated[
+    bool, typer.Option("--strict", help="Exit code 1 if the verdict is that the model must not be used.")
+]
 InertiaOption = Annotated[
     Literal["refit", "fixed"] | None,
     typer.Option(
@@ -256,6 +261,18 @@ def parse_bounds(texts: list[str], experiment: Experiment) -> dict[str, float]:
 def command_line() -> str:
     """The command line, as a person would type it."""
     return shlex.join(["idtool", *map(without_secrets, sys.argv[1:])])
+
+
+def finish_model(
+    terminal: Terminal, result: FitReport | ValidationReport, bounds: Mapping[str, bool], strict: bool
+) -> None:
+    """Finish as `finish` does; exit with 1 also if the verdict is that a model must not be used, with ``strict``."""
+    is_refused = strict and result.verdict == "do_not_use"
+    if is_refused:
+        terminal.say("--strict: the verdict is that the model must not be used")
+    finish(terminal, result, bounds)
+    if is_refused:
+        raise typer.Exit(1)
 
 
 def finish(terminal: Terminal, result: Result, checks: Mapping[str, bool], failure: str = "bound not met") -> None:

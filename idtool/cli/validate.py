@@ -20,9 +20,11 @@ from idtool.cli.options import (
     QuietOption,
     RerunOption,
     SkipBadOption,
+    StrictOption,
     command_line,
     distribution_of,
     finish,
+    finish_model,
     log_path_or_url,
     output_folder,
     parse_bounds,
@@ -57,6 +59,7 @@ def validate_command(
     prior: Annotated[Path | None, typer.Option(help="Another URDF for comparison.")] = None,
     out: OutOption = None,
     max_rms: MaxRmsOption = None,
+    strict: StrictOption = False,
     no_simulation: NoSimulationOption = False,
     rerun: RerunOption = None,
     jobs: JobsOption = None,
@@ -74,7 +77,7 @@ def validate_command(
 
     terminal = Terminal(quiet, as_json)
     if urdf is None:
-        has_options = any((config, prior, out, max_rms, no_simulation, rerun, cluster, skip_bad))
+        has_options = any((config, prior, out, max_rms, strict, no_simulation, rerun, cluster, skip_bad))
         _run_regression(terminal, has_options)
         return
     folder = output_folder(urdf, out)
@@ -97,7 +100,7 @@ def validate_command(
         if rerun:
             result.rerun(rerun)
     show_validation(terminal, result, folder)
-    finish(terminal, result, dict(result.ok))
+    finish_model(terminal, result, dict(result.ok), strict)
 
 
 def _run_regression(terminal: Terminal, has_options: bool) -> None:

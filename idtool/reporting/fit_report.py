@@ -47,7 +47,7 @@ from idtool.reporting.results.fit import (
 )
 from idtool.reporting.results.rollouts import Simulation
 from idtool.reporting.results.validation import ModelErrors, ModelErrorsByKind, ValidationReport
-from idtool.reporting.simulation_report import simulation_report
+from idtool.reporting.simulation_report import simulation_report, why_not_simulated
 from idtool.reporting.uncertainty_report import (
     base_report,
     bias_report,
@@ -57,6 +57,14 @@ from idtool.reporting.uncertainty_report import (
     reflected_inertia_report,
     repeatability_report,
     uncertainty_report,
+)
+from idtool.reporting.verdict import (
+    bodies_reason,
+    data_reason,
+    motion_reason,
+    problem_reasons,
+    torque_reason,
+    verdict,
 )
 from idtool.robot.body import Body
 from idtool.robot.config import Config, EffectEntry
@@ -76,14 +84,48 @@ from idtool.robot.urdf.writing import JointDynamics
 from idtool.robot.witness import deviation_ellipsoid
 
 
-def fit_report(fit: Fit, fleet: Fleet | None = None) -> FitReport:
-    """The content of report.json, with the robots of a fleet if the logs are theirs."""
+def fit_report(
+    fit: Fit, fleet: Fleet | None = None, noise_floor: Mapping[str, float | None] | None = None
+) -> FitReport:
+    """The content of report.json.
+
+    Parameters
+    ----------
+    fit
+        The result.
+    fleet
+        The robots of the fleet that the logs are of; None: they are of one robot.
+    noise_floor
+        Error that noise alone makes, by joint and ``overall`` [N·m or N]; None: not known.
+    """
     experiment = fit.experiment
     joints = experiment.equation.joints
     analysis = fit.uncertainty_analysis
     rms = _rms(fit, joints, raw=False)
+    errors = rms.validation or rms.train
+    error_shares = nrms(fit.evaluation, "identified", joints)
+    simulation = simulation_report(fit.simulation, "identified", experiment)
+    bodies = {body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)}
+    base_parameters = base_report(fit, analysis.identifiability) if analysis.identifiability else None
+    solver = SolverReport(**{name: getattr(fit.estimate.certificate, name) for name in SolverReport.model_fields})
+    reasons = (
+        torque_reason(
+            errors,
+            error_shares,
+            experiment.model.units,
+            rms.prior_validation,
+            noise_floor,
+            where="on held-out data" if fit.has_held_out else "on the data that the model was fitted to",
+            was_fitted=not fit.has_held_out,
+        ),
+        motion_reason(simulation, why_not_simulated(fit.simulation, "identified", experiment)),
+        bodies_reason(bodies, fit.notices),
+        data_reason(base_parameters, solver, fit.notices),
+    )
     return FitReport(
         **provenance_fields(experiment.sources),
+        verdict=verdict(reasons),
+        verdict_reasons=reasons,
         joints=joints,
         units=experiment.model.units,
         samples=SampleCounts(train=experiment.samples(held_out=False), validation=experiment.samples(held_out=True)),
@@ -92,10 +134,11 @@ def fit_report(fit: Fit, fleet: Fleet | None = None) -> FitReport:
         rms=rms,
         rms_by_kind=_errors_by_kind(rms, experiment.model.row_kinds),
         rms_raw=_rms(fit, joints, raw=True),
-        nrms=nrms(fit.evaluation, "identified", joints),
-        simulation=simulation_report(fit.simulation, "identified", experiment),
+        nrms=error_shares,
+        simulation=simulation,
+        noise_floor=noise_floor,
         noise=dict(zip(joints, fit.estimate.noise.tolist(), strict=True)),
-        bodies={body.name: body_report(fit, i, body) for i, body in enumerate(experiment.model.bodies)},
+        bodies=bodies,
         whole_robot=whole_robot_report(fit),
         foot_compliance=foot_compliance_report(fit),
         wrench_sensors=wrench_sensor_reports(fit),
@@ -107,12 +150,12 @@ def fit_report(fit: Fit, fleet: Fleet | None = None) -> FitReport:
         rotors=reflected_inertia_report(fit),
         controller=controller_report(fit),
         uncertainty=uncertainty_report(fit),
-        base_parameters=base_report(fit, analysis.identifiability) if analysis.identifiability else None,
+        base_parameters=base_parameters,
         bias=bias_report(fit, analysis.identifiability, analysis.bias),
         repeatability=repeatability_report(fit, analysis.identifiability, analysis.repeatability),
         regularization=regularization_report(fit),
         known=[_known_value(constraint, fit) for constraint in experiment.equalities.constraints],
-        solver=SolverReport(**{name: getattr(fit.estimate.certificate, name) for name in SolverReport.model_fields}),
+        solver=solver,
         seconds=fit.seconds,
         **notice_fields(fit.notices),
         logs=[str(path) for path in experiment.log_paths],
@@ -523,6 +566,7 @@ def validation_report(
     sources: Sequence[InputFile] = (),
     notices: Sequence[Notice] = (),
     row_kinds: Mapping[str, Sequence[str]] | None = None,
+    why_not: str = "it was not simulated",
 ) -> ValidationReport:
     """The content of validation.json.
 
@@ -544,6 +588,8 @@ def validation_report(
         The notices.
     row_kinds
         As `RobotModel.row_kinds`; None: there are only joints.
+    why_not
+        Why there is no simulation, from `why_not_simulated`.
     """
     joints = tuple(units)
     rms = ModelErrors(**{model: plain_data(errors.rms(joints)) for model, errors in evaluation.errors.items()})
@@ -553,8 +599,16 @@ def validation_report(
         by_kind = ModelErrorsByKind(
             model=rms_by_kind(rms.model, row_kinds), prior=rms_by_kind(rms.prior, row_kinds) if rms.prior else None
         )
+    error_shares = nrms(evaluation, "model", joints)
+    reasons = [
+        torque_reason(rms.model, error_shares, units, rms.prior, None, where="on these logs"),
+        motion_reason(simulation, why_not),
+        *problem_reasons(notices),
+    ]
     return ValidationReport(
         **provenance_fields(sources),
+        verdict=verdict(reasons),
+        verdict_reasons=reasons,
         joints=joints,
         units=units,
         samples=evaluation.errors["model"].samples,
@@ -562,7 +616,7 @@ def validation_report(
         rms=rms,
         rms_by_kind=by_kind,
         rms_raw=ModelErrors(**rms_raw),
-        nrms=nrms(evaluation, "model", joints),
+        nrms=error_shares,
         wrench_sensor_offsets=plain_data(evaluation.sensor_offsets),
         simulation=simulation,
         bound=bounds,

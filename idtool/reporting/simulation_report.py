@@ -48,6 +48,23 @@ def simulation_report(rollouts: RolloutEvaluation | None, model: str, experiment
     )
 
 
+def why_not_simulated(rollouts: RolloutEvaluation | None, model: str, experiment: Experiment) -> str:
+    """Why a model was not simulated, a clause.
+
+    Parameters
+    ----------
+    rollouts, model, experiment
+        As in `simulation_report`.
+    """
+    if rollouts is not None and model in rollouts.failed:
+        return f"it cannot be simulated, because {rollouts.failed[model]}"
+    if not experiment.has_only_joints:
+        return "a robot with contacts or a floating base is not simulated while forces act on it"
+    if not experiment.runs:
+        return "logs that were reduced are not simulated"
+    return "it was not simulated (leave out --quick and --no-simulation)"
+
+
 def _horizons(
     joints: Sequence[str], own: RolloutError, baseline: RolloutError, prior: RolloutError | None
 ) -> list[Horizon]:

@@ -140,8 +140,9 @@ class Page(HTMLParser):
 
     @property
     def levels(self) -> list[str | None]:
-        """How to take each finding, in order."""
-        return [attrs["class"] for tag, attrs in self.tags if tag == "li" and "class" in attrs]
+        """How to take each finding, in order, the reasons of a verdict left out."""
+        items = [attrs for tag, attrs in self.tags if tag == "li" and "class" in attrs]
+        return [attrs["class"] for attrs in items if "data-about" not in attrs]
 
     def table(self, head: str, first: Sequence[str] = ("joint", "body")) -> dict[str, dict[str, str]]:
         """Rows by name of the tables whose heading opens with one of ``first`` and has ``head``; cells by heading."""

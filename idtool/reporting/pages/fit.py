@@ -36,6 +36,7 @@ from idtool.reporting.sections.fit import (
     WrenchSensorsSection,
 )
 from idtool.reporting.sections.fleet import FleetSection
+from idtool.reporting.verdict import LEVEL_TEXTS
 
 _PRIOR = PriorWeightsSection()
 _FLEET = FleetSection()
@@ -47,6 +48,7 @@ _RESIDUALS = ("Residual by state, time and frequency", "residuals.html")
 _MODEL_NAMES = ("prior", "identified")
 _MODELS_TEXT = "the original URDF and of the identified model"
 _SECTIONS = (
+    ("Verdict", "verdict.html"),
     ("Findings", "fit_findings.html"),
     TorqueErrorsSection(),
     _ERRORS_BY_KIND,
@@ -117,6 +119,7 @@ def fit_page(
         ["solids.js", "robot.js", "bodies.js", "trust.js"],
         {**views, **robot},
         report=report,
+        verdict_text=LEVEL_TEXTS[report.verdict],
         groups=rows_by_unit(units),
         torques=torque_figures(fit.evaluation, "identified", units),
         residuals=residual_figures(*residual_maps, units, _MODEL_NAMES, _MODELS_TEXT) if residual_maps else None,

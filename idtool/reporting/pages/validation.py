@@ -16,10 +16,12 @@ from idtool.reporting.pages.simulation import SIMULATION, simulation_view, with_
 from idtool.reporting.plots.torques import torque_figures
 from idtool.reporting.results.validation import ValidationReport
 from idtool.reporting.sections.validation import ModelErrorsByKindSection, ModelErrorsSection
+from idtool.reporting.verdict import LEVEL_TEXTS
 from idtool.robot.model import RobotModel
 
 _ERRORS_BY_KIND = ModelErrorsByKindSection()
 _SECTIONS = (
+    ("Verdict", "verdict.html"),
     ("Findings", "validation_findings.html"),
     ModelErrorsSection(),
     _ERRORS_BY_KIND,
@@ -65,6 +67,7 @@ def validation_page(
         ["solids.js", "robot.js"],
         robot,
         report=report,
+        verdict_text=LEVEL_TEXTS[report.verdict],
         groups=rows_by_unit(units),
         torques=torque_figures(evaluation, "model", units),
         **simulation_view(rollouts, report.simulation, "model"),

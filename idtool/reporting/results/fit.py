@@ -25,6 +25,7 @@ from idtool.reporting.results.base import (
     field,
 )
 from idtool.reporting.results.rollouts import Simulation
+from idtool.reporting.results.verdict import REASONS_TEXT, VERDICT_TEXT, VerdictLevel, VerdictReason
 from idtool.robot.inertia import symmetric_matrix
 
 
@@ -420,6 +421,8 @@ class FleetReport(Record):
 class FitReport(ReproducibleResult):
     """Result of `idtool fit`."""
 
+    verdict: VerdictLevel = field(VERDICT_TEXT)
+    verdict_reasons: tuple[VerdictReason, ...] = field(REASONS_TEXT)
     joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
     samples: SampleCounts = field("Number of samples used.")
@@ -435,6 +438,10 @@ class FitReport(ReproducibleResult):
         "`rms.validation` (or `train`) divided by the standard deviation of the measured torque."
     )
     simulation: Simulation | None = field("Forward simulation; null if it was skipped.")
+    noise_floor: ByJointOrNone | None = field(
+        "RMS error in the band that noise and rest alone make, from the residual's spectrum, and `overall`; null for "
+        "joints that move too little. Null with `--quick` and for logs that were reduced [N·m or N]."
+    )
     noise: ByJoint = field("Torque noise used to weight the joint's equation [N·m or N].")
     bodies: Annotated[ReadOnly[BodyReport], Keys("body")] = field("Identified links and rotors.")
     whole_robot: WholeRobotReport | None = field("Mass and centre of mass of the whole robot; null with a fixed base.")

@@ -20,6 +20,7 @@ from idtool.reporting.results.base import (
     field,
 )
 from idtool.reporting.results.rollouts import Simulation
+from idtool.reporting.results.verdict import REASONS_TEXT, VERDICT_TEXT, VerdictLevel, VerdictReason
 
 
 class ModelErrors(Record):
@@ -46,6 +47,8 @@ class ModelErrorsByKind(Record):
 class ValidationReport(ReproducibleResult):
     """Result of `idtool validate`."""
 
+    verdict: VerdictLevel = field(VERDICT_TEXT)
+    verdict_reasons: tuple[VerdictReason, ...] = field(REASONS_TEXT)
     joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
     samples: int = field("Number of samples used.")

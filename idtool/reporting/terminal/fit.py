@@ -19,10 +19,12 @@ from idtool.reporting.sections.fleet import FleetSection
 from idtool.reporting.sections.uncertainty import RepeatabilitySection
 from idtool.reporting.terminal.base import Terminal
 from idtool.reporting.terminal.simulation import show_simulation
+from idtool.reporting.terminal.verdict import show_verdict
 
 
 def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
     """The result of a fit: errors, bodies, friction, certificate, and where the files are."""
+    show_verdict(terminal, report.verdict, report.verdict_reasons)
     terminal.sections([TorqueErrorsSection(), ErrorsByKindSection(), FleetSection()], report)
     show_simulation(terminal, report.simulation)
     terminal.sections([BodiesSection(), WholeRobotSection(), FrictionSection()], report)

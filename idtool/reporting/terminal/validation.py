@@ -12,10 +12,12 @@ from idtool.reporting.sections.validation import (
 )
 from idtool.reporting.terminal.base import Terminal
 from idtool.reporting.terminal.simulation import show_simulation
+from idtool.reporting.terminal.verdict import show_verdict
 
 
 def show_validation(terminal: Terminal, report: ValidationReport, folder: Path) -> None:
     """The result of a validation."""
+    show_verdict(terminal, report.verdict, report.verdict_reasons)
     terminal.sections([ModelErrorsSection(), ModelErrorsByKindSection()], report)
     show_simulation(terminal, report.simulation)
     terminal.notices(report.notices)
