@@ -37,7 +37,7 @@ ReductionOption = Annotated[
 @app.command(
     "reduce",
     rich_help_panel=IDENTIFY_AND_CHECK,
-    epilog="Example: idtool reduce leg.urdf run1.mcap --out run1.idr, then idtool fit leg.urdf run1.idr",
+    epilog="Example: idtool reduce leg.urdf run1.mcap run2.mcap --out runs.idr",
 )
 def reduce_command(
     urdf: UrdfArgument,

@@ -10,7 +10,7 @@ from typing_extensions import override
 from idtool.common.number_text import number, with_error
 from idtool.common.units import common_unit, position_units
 from idtool.reporting.diagnosis_text import effect_name, owner_name
-from idtool.reporting.results.diagnosis import ChangeReport, DiagnosisReport
+from idtool.reporting.results.diagnosis import ChangeReport, ComparedParameter, DiagnosisReport
 from idtool.reporting.sections.base import (
     NO_VALUE,
     Cell,
@@ -128,7 +128,7 @@ def _parameter_columns() -> list[Column]:
 
 
 def _parameter_rows(change: ChangeReport) -> list[list[Cell]]:
-    """A row of cells for each parameter."""
+    """A row of cells for each parameter; none for one that both leave out."""
     return [
         [
             Cell(effect_name(change.effect)),
@@ -139,7 +139,15 @@ def _parameter_rows(change: ChangeReport) -> list[list[Cell]]:
             Cell(parameter.unit or ""),
         ]
         for name, parameter in change.parameters.items()
+        if not _is_left_out(parameter)
     ]
+
+
+def _is_left_out(parameter: ComparedParameter) -> bool:
+    """True if a parameter is 0 or absent in the simulator and on the robot, without an error."""
+    values = (parameter.simulator, parameter.robot)
+    errors = (parameter.simulator_standard_error, parameter.robot_standard_error)
+    return all(value in (None, 0.0) for value in values) and not any(errors)
 
 
 def _text(value: Any, error: Any) -> str:

@@ -31,12 +31,8 @@ def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
     terminal.sections([WrenchSensorsSection(), EffectsSection()], report)
     if report.controller and report.controller.text:
         terminal.say(f"controller delay: {report.controller.text}")
-    if base := report.base_parameters:
-        terminal.say(
-            f"the logs determine {base.determined} of the {base.structural} base parameters (the combinations of the "
-            f"{base.of} parameters that the torque depends on); the columns above count the sources of each body's ten "
-            "parameters"
-        )
+    if report.base_parameters:
+        terminal.say("the last columns of the bodies count the main source of each body's ten parameters")
     terminal.sections([RepeatabilitySection()], report)
     regularization = report.regularization
     if regularization.automatic is not None:
