@@ -14,13 +14,12 @@ from pathlib import Path
 
 import numpy as np
 from lxml import etree
-from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.robot.convex import enclosing_points
 from idtool.robot.meshes import Mesh, UnreadableGeometryError, merge_meshes, numeric_attribute, read_mesh
+from idtool.robot.rotation import rotation_from_rpy
 from idtool.robot.urdf.reading import Robot, parse_xml
 
 _SIDES = 32  # of the polygon around a circle, 0.5 % larger
@@ -109,6 +108,8 @@ def _geometry_element(element: etree._Element) -> etree._Element | None:
 
 def _element_meshes(urdf: Path, elements: list[etree._Element]) -> Iterator[Mesh]:
     """Triangles of each of a link's <visual> or <collision> that can be read, in the link's frame."""
+    from scipy.spatial import QhullError
+
     for element in elements:
         part = _geometry_element(element)
         if part is not None:
@@ -180,7 +181,7 @@ def _origin(element: etree._Element) -> tuple[Array, Array]:
         return np.eye(3), np.zeros(3)
     xyz = numeric_attribute(origin, "xyz", 3, default="0 0 0")
     rpy = numeric_attribute(origin, "rpy", 3, default="0 0 0")
-    return Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+    return rotation_from_rpy(rpy), xyz
 
 
 def _part_points(urdf: Path, part: etree._Element) -> Array:
@@ -201,6 +202,8 @@ def _part_points(urdf: Path, part: etree._Element) -> Array:
 
 def _part_mesh(urdf: Path, part: etree._Element) -> Mesh:
     """Triangles of a primitive or a mesh, in its own frame; QhullError for what has no volume."""
+    from scipy.spatial import ConvexHull
+
     if part.tag == "mesh":
         mesh = read_mesh(urdf, part.get("filename", ""))
         return Mesh(mesh.points * numeric_attribute(part, "scale", 3, default="1 1 1"), mesh.faces)
@@ -223,6 +226,8 @@ def _disc_points() -> Array:
 @cache
 def _ball_points() -> Array:
     """Corners of a polyhedron around the unit ball."""
+    from scipy.spatial import ConvexHull
+
     k = np.arange(_DIRECTIONS) + 0.5
     angle = np.pi * (1 + math.sqrt(5)) * k
     z = 1 - 2 * k / _DIRECTIONS

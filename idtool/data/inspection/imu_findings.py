@@ -7,16 +7,19 @@ orientation tells.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import ACCELEROMETER, GYROSCOPE, ORIENTATION
 from idtool.data.logs.log import JointLog
 from idtool.data.logs.sensor_channels import finite_samples, is_dead
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 _GRAVITY = 9.81  # m/s²
 _MAX_SAMPLES = 1 << 16
@@ -99,6 +102,8 @@ def _orientation_findings(quaternions: Array, mean: Array) -> Iterator[Notice]:
 
 def _angle_to_vertical(quaternions: Array, mean: Array) -> float:
     """Median angle [rad] between the mean acceleration and the vertical of an orientation."""
+    from scipy.spatial.transform import Rotation
+
     up = Rotation.from_quat(quaternions.T).as_matrix()[:, 2]  # the world's z axis in the IMU's
     cosine = (up.T * mean).sum(axis=0) / np.maximum(np.linalg.norm(mean, axis=0), 1e-9)
     return float(np.median(np.arccos(np.clip(cosine, -1, 1))))
@@ -106,6 +111,8 @@ def _angle_to_vertical(quaternions: Array, mean: Array) -> float:
 
 def _rate_findings(quaternions: Array, rates: Array, dt: float) -> Iterator[Notice]:
     """Notice if the angular velocity, shape (3, N), differs from that of the orientation, shape (4, N)."""
+    from scipy.spatial.transform import Rotation
+
     rotations = Rotation.from_quat(quaternions.T)
     step = max(round(0.05 / dt), 1)
     if len(rotations) <= 2 * step:
