@@ -41,7 +41,6 @@ LIBRARY_USERS = {
     "cvxpy": ("estimation/problem/backends.py",),
     "pinocchio": ("dynamics/simulation/rigid_body_dynamics.py",),
     "mcap": ("data/logs",),
-    "yourdfpy": ("robot/urdf",),
     "typer": ("cli",),
     "rich": ("cli", "reporting/terminal"),
     "trimesh": ("robot/meshes.py",),
