@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 from typing_extensions import override
 
 from idtool.common.arrays import Array
@@ -225,6 +224,8 @@ class PoseSensors(BaseSensors):
 
     @override
     def angular_velocity(self, t: Array) -> Array:
+        from scipy.ndimage import gaussian_filter1d
+
         quaternions = self._values(POSE_ORIENTATION, t)
         dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
         smoothed = gaussian_filter1d(quaternions, _SMOOTHING / dt, axis=-1)
@@ -249,6 +250,8 @@ class PoseSensors(BaseSensors):
 
     def linear_velocity(self, t: Array) -> Array:
         """Velocity of the base's origin along the axes of the base, at evenly spaced times [s], shape (3, N) [m/s]."""
+        from scipy.ndimage import gaussian_filter1d
+
         dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
         link_to_world = _rotations(self._values(POSE_ORIENTATION, t))
         origin = self._base_origin(self._values(POSITION, t), link_to_world)

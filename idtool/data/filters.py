@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.fft import irfft, rfftfreq
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from idtool.common.arrays import Array, Mask
 
@@ -87,10 +87,8 @@ class LowPass:
 
     def masked_share(self, mask: Mask, before: int, after: int) -> Array:
         """Share of each filtered sample's weight, by magnitude, that comes from the masked samples; shape (n,)."""
-        from scipy.signal import oaconvolve
-
         weights = np.abs(self.kernel)
-        shares = oaconvolve(mask.astype(float), weights / weights.sum())[self.reach :]
+        shares = convolve(mask.astype(float), weights / weights.sum())[self.reach :]
         return np.asarray(shares[before : len(mask) - after : self.stride])
 
     def _convolve(self, x: Array) -> Array:
@@ -101,6 +99,13 @@ class LowPass:
         for d, taps in enumerate(self._taps[1:], start=1):
             sums += blocks[..., d : d + count, :] @ taps
         return np.asarray(sums.reshape(*x.shape[:-1], -1))
+
+
+def convolve(x: Array, kernel: Array) -> Array:
+    """Convolution by Fourier transforms, shapes (N,) and (K,) to (N + K − 1,)."""
+    length = len(x) + len(kernel) - 1
+    size = next_fast_len(length, real=True)
+    return np.asarray(irfft(rfft(x, size) * rfft(kernel, size), size)[:length])
 
 
 def zero_phase_butterworth(order: int, cutoff: float) -> Array:

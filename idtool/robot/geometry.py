@@ -5,6 +5,7 @@ What cannot be read is listed with the reason.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from contextlib import suppress
@@ -15,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from lxml import etree
 
-from idtool.common.arrays import Array
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ModelError
 from idtool.robot.convex import enclosing_points
 from idtool.robot.meshes import Mesh, UnreadableGeometryError, merge_meshes, numeric_attribute, read_mesh
@@ -108,12 +109,10 @@ def _geometry_element(element: etree._Element) -> etree._Element | None:
 
 def _element_meshes(urdf: Path, elements: list[etree._Element]) -> Iterator[Mesh]:
     """Triangles of each of a link's <visual> or <collision> that can be read, in the link's frame."""
-    from scipy.spatial import QhullError
-
     for element in elements:
         part = _geometry_element(element)
         if part is not None:
-            with suppress(UnreadableGeometryError, QhullError):
+            with suppress(UnreadableGeometryError):
                 R, p = _origin(element)
                 mesh = _part_mesh(urdf, part)
                 yield Mesh(mesh.points @ R.T + p, mesh.faces)
@@ -201,19 +200,35 @@ def _part_points(urdf: Path, part: etree._Element) -> Array:
 
 
 def _part_mesh(urdf: Path, part: etree._Element) -> Mesh:
-    """Triangles of a primitive or a mesh, in its own frame; QhullError for what has no volume."""
-    from scipy.spatial import ConvexHull
-
+    """Triangles of a primitive or a mesh, in its own frame."""
     if part.tag == "mesh":
         mesh = read_mesh(urdf, part.get("filename", ""))
         return Mesh(mesh.points * numeric_attribute(part, "scale", 3, default="1 1 1"), mesh.faces)
     points = _part_points(urdf, part)
-    return Mesh(points, ConvexHull(points).simplices.astype(np.intp))
+    if part.tag == "box":
+        return Mesh(points, _cube_faces())
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return Mesh(points, ConvexHull(points).simplices.astype(np.intp))
+    except QhullError:
+        raise UnreadableGeometryError(f"{part.tag} has no volume") from None
 
 
 @cache
 def _cube_corners() -> Array:
     return np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+
+
+@cache
+def _cube_faces() -> Indices:
+    """Two triangles for each side of a cube, of the corners as in `_cube_corners`."""
+    corners = _cube_corners()
+    triangles = []
+    for axis, side in itertools.product(range(3), (-1, 1)):
+        a, b, c, d = np.flatnonzero(corners[:, axis] == side)  # a and d are opposite corners
+        triangles += [(a, b, d), (a, d, c)]
+    return np.array(triangles)
 
 
 @cache

@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import ACCELEROMETER, GYROSCOPE, ORIENTATION
 from idtool.data.logs.log import JointLog
 from idtool.data.logs.sensor_channels import finite_samples, is_dead
+from idtool.data.smoothing import moving_mean
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -50,7 +50,7 @@ def imu_findings(log: JointLog) -> Iterator[Notice]:
     acceleration = np.stack([channels[name].at(t) for name in ACCELEROMETER])
     rates = np.stack([channels[name].at(t) for name in GYROSCOPE])
     samples = max(round(_AVERAGE / log.dt), 1)
-    mean = uniform_filter1d(acceleration, samples, axis=1)
+    mean = moving_mean(acceleration, samples)
     size = float(np.median(np.linalg.norm(mean, axis=0)))
     if abs(size * _GRAVITY - _GRAVITY) < _TOLERANCE * _GRAVITY:
         message = f"the acceleration is {size:.3g} on average: it is in g, not in m/s²"
@@ -118,7 +118,7 @@ def _rate_findings(quaternions: Array, rates: Array, dt: float) -> Iterator[Noti
     if len(rotations) <= 2 * step:
         return
     change = _rates_of(rotations, step, dt)
-    measured = uniform_filter1d(rates, step, axis=1)[:, step // 2 : step // 2 + change.shape[1]]
+    measured = moving_mean(rates, step)[:, step // 2 : step // 2 + change.shape[1]]
     if np.square(change).mean() < np.square(np.deg2rad(1.0)):  # it hardly turns
         return
     ratio = float(np.sqrt(np.square(measured).mean() / np.square(change).mean()))

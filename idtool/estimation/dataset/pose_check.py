@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import PoseSensors
@@ -18,6 +17,7 @@ _MAX_SAMPLES = 60_000  # of the longest stretch
 
 def pose_against_imu(signals: Signals, pose: PoseSensors) -> Notice | None:
     """Notice about a pose whose link turns otherwise than the IMU tells; None if they agree, or hardly turn."""
+    from scipy.ndimage import gaussian_filter1d
     from scipy.spatial.transform import Rotation
 
     imu = signals.base_sensors
