@@ -18,9 +18,8 @@ def moving_mean(x: Series, width: int) -> Series:
     margin = np.zeros((x.ndim, 2), dtype=int)
     margin[-1] = width // 2, width - width // 2 - 1
     sums = np.cumsum(np.pad(x, margin, mode="symmetric"), axis=-1)
-    first = sums[..., width - 1 : width]
-    others = sums[..., width:] - sums[..., :-width]
-    return np.concatenate([first, others], axis=-1) / width
+    sums[..., width:] -= sums[..., :-width]
+    return sums[..., width - 1 :] / width
 
 
 def gaussian_mean(x: Array, sigma: float) -> Array:
