@@ -8,9 +8,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from numpy.fft import irfft, rfft, rfftfreq
 
 from idtool.common.arrays import Array, ComplexArray
+from idtool.common.fourier import fast_length
 from idtool.data.smoothing import moving_mean
 
 _MIN_SAMPLES = 64  # samples
@@ -88,7 +89,7 @@ def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
     x = np.linspace(-reach * dt, reach * dt, 2 * reach + 1)
     if len(q) < 2 * len(x):
         return _UNKNOWN
-    size = next_fast_len(len(q), real=True)
+    size = fast_length(len(q))
     q_spectrum = rfft(q, size)
 
     def smoothed(spectrum: ComplexArray, kernel: Array) -> Array:
