@@ -22,9 +22,9 @@ from idtool.data.inspection.signal_statistics import (
     stuck_share,
 )
 from idtool.data.inspection.torque import torque_source
-from idtool.data.inspection.velocity import Agreement, velocity_agreement
 from idtool.data.logs.log import SIGNALS, JointLog
 from idtool.data.smoothing import gaussian_mean, moving_mean
+from idtool.data.velocity_agreement import Agreement, velocity_agreement
 
 _MAX_QUANTISATION_SAMPLES = 1 << 15  # samples that quantisation is read from
 _MIN_RELATIVE_TRAVEL = 10.0  # range of q over its noise or resolution

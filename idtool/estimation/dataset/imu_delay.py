@@ -15,9 +15,9 @@ from idtool.common.arrays import Array, Mask
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import BaseSensors
 from idtool.data.contact_channels import ContactChannels
-from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import JointLog
 from idtool.data.signals import Motion
+from idtool.data.velocity_agreement import velocity_agreement
 from idtool.dynamics.contact_model import ContactModel
 from idtool.robot.config import Config, Contact
 from idtool.robot.model import BASE_COORDINATES, RobotModel
