@@ -35,18 +35,25 @@ def power_density(
     Allen et al., FINDCHIRP, arXiv gr-qc/0509116, appendix B
     """
     segments = np.lib.stride_tricks.sliding_window_view(x, segment, axis=-1)[..., :: segment - segment // 2, :]
-    window = np.hanning(segment + 1)[:-1]  # periodic
     count = segments.shape[-2]
     density = np.empty((*segments.shape[:-1], segment // 2 + 1))
     for first in range(0, count, _SEGMENTS_AT_ONCE):
         part = segments[..., first : first + _SEGMENTS_AT_ONCE, :]
-        spectrum = np.fft.rfft((part - part.mean(axis=-1, keepdims=True)) * window)
-        density[..., first : first + _SEGMENTS_AT_ONCE, :] = np.square(spectrum.real) + np.square(spectrum.imag)
-    density *= dt / (window @ window or 1.0)
-    density[..., 1 : (segment + 1) // 2] *= 2  # all but 0 and the Nyquist frequency stand for a negative one too
+        own = periodograms(part - part.mean(axis=-1, keepdims=True), dt)
+        density[..., first : first + _SEGMENTS_AT_ONCE, :] = own
     if average == "median":
         k = 2.0 * np.arange(1, (count - 1) // 2 + 1)
         averaged = np.median(density, axis=-2) / (1 + (1 / (k + 1) - 1 / k).sum())
     else:
         averaged = density.mean(axis=-2)
     return np.asarray(np.fft.rfftfreq(segment, dt), dtype=float), np.asarray(averaged)
+
+
+def periodograms(x: Array, dt: float) -> Array:
+    """One-sided power density of series under a Hann window, shape (..., N) to (..., N // 2 + 1); dt [s] apart."""
+    length = x.shape[-1]
+    window = np.hanning(length + 1)[:-1]  # periodic
+    spectrum = np.fft.rfft(x * window)
+    density = (np.square(spectrum.real) + np.square(spectrum.imag)) * (dt / (window @ window or 1.0))
+    density[..., 1 : (length + 1) // 2] *= 2  # all but 0 and the Nyquist frequency stand for a negative one too
+    return np.asarray(density)

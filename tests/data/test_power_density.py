@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from scipy.signal import welch
+from scipy.signal import periodogram, welch
 
-from idtool.data.power_density import power_density
+from idtool.data.power_density import periodograms, power_density
 
 
 @pytest.mark.parametrize("average", ["mean", "median"])
@@ -35,3 +35,10 @@ def test_white_noise_has_its_variance(rng: np.random.Generator) -> None:
     assert density.sum() * f[1] == pytest.approx(4.0, rel=0.02)
     _, by_median = power_density(2.0 * rng.standard_normal(200_000), 1e-3, 500, "median")
     assert by_median.sum() * f[1] == pytest.approx(4.0, rel=0.02)
+
+
+@pytest.mark.parametrize("length", [2, 15, 64])
+def test_periodograms_are_those_of_scipy(length: int, rng: np.random.Generator) -> None:
+    x = 1.0 + rng.standard_normal((3, length))
+    _, expected = periodogram(x, 200.0, window="hann", detrend=False)
+    np.testing.assert_allclose(periodograms(x, 1 / 200), expected, rtol=1e-12, atol=1e-12 * expected.max())
