@@ -30,7 +30,7 @@ def python(*arguments: str | Path) -> str:
 
 def idtool(*arguments: str | Path) -> str:
     """Run the command line."""
-    return python("-c", "from idtool.cli import main; main()", *arguments)
+    return python("-m", "idtool", *arguments)
 
 
 def print_steps(urdf: Path, log: Path) -> None:

@@ -17,9 +17,6 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.outputs import as_json, as_yaml
 from idtool.common.processes import Background, in_processes
 from idtool.common.units import units_text
-from idtool.diagnosis.data_faults import find_data_faults
-from idtool.diagnosis.records import ProfilesByJoint
-from idtool.diagnosis.residual_maps import residual_maps
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.dataset.training_sample import training_sample
 from idtool.estimation.evaluation.torque_errors import overall_rms
@@ -36,6 +33,8 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
     from idtool.api.results import RecordingData
+    from idtool.common.notice import Notice
+    from idtool.diagnosis.records import ProfilesByJoint
 
 _UNCORRECTABLE_FAULTS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped_position")
 ROBOTS = "robots"  # folder with a folder for the model of each robot of a fleet
@@ -282,7 +281,7 @@ def fit_experiment(
         check = None
         can_check = has_samples and experiment.has_only_joints  # a base that moves and contacts are not checked
         if analyze_uncertainty and can_check:
-            check = stack.enter_context(Background(partial(find_data_faults, experiment)))
+            check = stack.enter_context(Background(partial(_find_data_faults, experiment)))
         solved = run_fit(experiment, progress, simulate and has_samples, analyze_uncertainty, method)
         faults = check.result(progress) if check is not None else ()
     fleet = None
@@ -293,6 +292,8 @@ def fit_experiment(
     solved = replace(solved, notices=(*uncorrectable, *solved.notices))
     if analyze_uncertainty and has_samples:
         models = (experiment.equation.prior, solved.estimate.theta)
+        from idtool.diagnosis.residual_maps import residual_maps
+
         prior_maps, identified_maps = in_processes(partial(residual_maps, solved.experiment), models, progress)
         maps = (prior_maps, identified_maps)
     noise_floor = _noise_floor(solved, progress) if analyze_uncertainty and has_samples else None
@@ -321,3 +322,9 @@ def _noise_floor(solved: Fit, progress: Progress) -> dict[str, float | None]:
     known = [rms for rms in by_joint.values() if rms is not None]
     by_joint["overall"] = overall_rms(known) if len(known) == len(by_joint) else None
     return by_joint
+
+
+def _find_data_faults(experiment: Experiment, progress: Progress) -> tuple[Notice, ...]:
+    from idtool.diagnosis.data_faults import find_data_faults
+
+    return find_data_faults(experiment, progress)

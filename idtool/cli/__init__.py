@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ from idtool.common.exceptions import IdtoolError
 from idtool.common.interrupt import EXIT_CODE, MESSAGE
 
 if TYPE_CHECKING:
+    import typer
     from typer.exceptions import TyperException
 
 __all__ = ["app", "main"]
@@ -36,7 +38,8 @@ def main() -> None:
 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: threads would wait for each other
     try:
-        code = app(sys.argv[1:] or ["--help"], prog_name="idtool", standalone_mode=False)
+        arguments = sys.argv[1:] or ["--help"]
+        code = _with_called_command(arguments[0])(arguments, prog_name="idtool", standalone_mode=False)
         sys.stdout.flush()
     except IdtoolError as error:
         code = _print_error(str(error))
@@ -53,6 +56,14 @@ def main() -> None:
     if code == EXIT_CODE:  # typer may have made it of the interrupt
         sys.stderr.write(MESSAGE)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _with_called_command(name: str) -> typer.Typer:
+    """The application with a command alone, since typer builds all that there are; all of them for another word."""
+    called = [command for command in app.registered_commands if command.name == name]
+    application = copy.copy(app)
+    application.registered_commands = called or app.registered_commands
+    return application
 
 
 def _discard_output() -> int:

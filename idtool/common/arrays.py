@@ -16,6 +16,12 @@ def mask_runs(mask: Mask) -> Indices:
     return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
 
 
+def dilated(mask: Mask, reach: int) -> Mask:
+    """Samples no more than so many samples from one that is True, shape (N,)."""
+    count = np.cumsum(np.pad(mask, (reach + 1, reach)))  # of True so far, from so many samples before the first
+    return np.asarray(count[2 * reach + 1 :] > count[: -2 * reach - 1])
+
+
 def joined_runs(mask: Mask, min_gap: float) -> list[tuple[int, int]]:
     """`mask_runs`, those less than ``min_gap`` samples apart joined."""
     runs: list[tuple[int, int]] = []

@@ -15,10 +15,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
 from idtool.common.arrays import Array
@@ -28,6 +27,9 @@ from idtool.data.logs.sensor_channels import SensorOptions
 from idtool.robot.body import Frame
 from idtool.robot.config import Config
 from idtool.robot.model import RobotModel
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 # Channels of an IMU, along its axes. The orientation is the rotation from the IMU to the world, its real part last.
 GYROSCOPE = ("imu_wx", "imu_wy", "imu_wz")
@@ -178,7 +180,7 @@ class ImuSensors(BaseSensors):
     @override
     def world_to_base(self, t: Array) -> Array:
         quaternions = self._imu(ORIENTATION, t)
-        imu_to_world = Rotation.from_quat(quaternions.T).as_matrix()
+        imu_to_world = _rotations(quaternions).as_matrix()
         base_to_imu = self._imu_frame.R.T
         base_to_world = imu_to_world @ base_to_imu
         world_to_base = base_to_world.transpose(0, 2, 1)
@@ -222,6 +224,8 @@ class PoseSensors(BaseSensors):
 
     @override
     def angular_velocity(self, t: Array) -> Array:
+        from scipy.ndimage import gaussian_filter1d
+
         quaternions = self._values(POSE_ORIENTATION, t)
         dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
         smoothed = gaussian_filter1d(quaternions, _SMOOTHING / dt, axis=-1)
@@ -235,7 +239,7 @@ class PoseSensors(BaseSensors):
         w_in_link = _angular_velocity(quaternions[:, reach:-reach], rate)
         w = self._frame.R @ w_in_link
         alpha = differentiate(w, dt)
-        link_to_world = Rotation.from_quat(quaternions.T)
+        link_to_world = _rotations(quaternions)
         origin = self._base_origin(smooth(self._values(POSITION, t)), link_to_world)
         acceleration = differentiate(differentiate(origin, dt), dt)
         in_world = acceleration - self._gravity[:, None]
@@ -246,15 +250,17 @@ class PoseSensors(BaseSensors):
 
     def linear_velocity(self, t: Array) -> Array:
         """Velocity of the base's origin along the axes of the base, at evenly spaced times [s], shape (3, N) [m/s]."""
+        from scipy.ndimage import gaussian_filter1d
+
         dt = float(t[1] - t[0]) if len(t) > 1 else 1.0
-        link_to_world = Rotation.from_quat(self._values(POSE_ORIENTATION, t).T)
+        link_to_world = _rotations(self._values(POSE_ORIENTATION, t))
         origin = self._base_origin(self._values(POSITION, t), link_to_world)
         velocity = gaussian_filter1d(origin, _SMOOTHING / dt, axis=-1, order=1) / dt
         return np.asarray(self._frame.R @ link_to_world.inv().apply(velocity.T).T)
 
     @override
     def world_to_base(self, t: Array) -> Array:
-        link_to_world = Rotation.from_quat(self._values(POSE_ORIENTATION, t).T).as_matrix()
+        link_to_world = _rotations(self._values(POSE_ORIENTATION, t)).as_matrix()
         world_to_base = self._frame.R @ link_to_world.transpose(0, 2, 1)
         return np.moveaxis(world_to_base, 0, -1)
 
@@ -339,3 +345,10 @@ def _angular_velocity(quaternions: Array, rate: Array) -> Array:
     # vector part of 2 q* dq/dt
     vector = s * dv - ds * v - np.cross(v, dv, axis=0)
     return np.asarray(2 * vector / np.square(quaternions).sum(axis=0))
+
+
+def _rotations(quaternions: Array) -> Rotation:
+    """N rotations of quaternions, real part last, shape (4, N)."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(quaternions.T)

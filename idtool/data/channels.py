@@ -14,9 +14,9 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.threads import in_threads
-from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import JointLog
 from idtool.data.logs.stored_arrays import release_pages
+from idtool.data.velocity_agreement import velocity_agreement
 
 MAX_ANALYZED_SAMPLES = 1 << 16  # samples from which the clock and the velocities are checked
 _MAX_JITTER = 0.01  # rms of the stamps' jitter, in samples, above which the signals are put on an even clock

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.fft import irfft, rfftfreq
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.fourier import fast_length
 
 _MAX_MISSING_WEIGHT = 0.02  # of a kernel's weight may be missing at an end of the data
 _MAX_CUT_WEIGHT = 1e-6  # of a kernel's weight may be cut off
@@ -87,10 +87,8 @@ class LowPass:
 
     def masked_share(self, mask: Mask, before: int, after: int) -> Array:
         """Share of each filtered sample's weight, by magnitude, that comes from the masked samples; shape (n,)."""
-        from scipy.signal import oaconvolve
-
         weights = np.abs(self.kernel)
-        shares = oaconvolve(mask.astype(float), weights / weights.sum())[self.reach :]
+        shares = convolve(mask.astype(float), weights / weights.sum())[self.reach :]
         return np.asarray(shares[before : len(mask) - after : self.stride])
 
     def _convolve(self, x: Array) -> Array:
@@ -101,6 +99,13 @@ class LowPass:
         for d, taps in enumerate(self._taps[1:], start=1):
             sums += blocks[..., d : d + count, :] @ taps
         return np.asarray(sums.reshape(*x.shape[:-1], -1))
+
+
+def convolve(x: Array, kernel: Array) -> Array:
+    """Convolution by Fourier transforms, shapes (N,) and (K,) to (N + K − 1,)."""
+    length = len(x) + len(kernel) - 1
+    size = fast_length(length)
+    return np.asarray(np.fft.irfft(np.fft.rfft(x, size) * np.fft.rfft(kernel, size), size)[:length])
 
 
 def zero_phase_butterworth(order: int, cutoff: float) -> Array:
@@ -123,9 +128,9 @@ def zero_phase_butterworth(order: int, cutoff: float) -> Array:
     reach = math.ceil(20 / min(cutoff, 0.5 - cutoff))
     grid = 4 * reach
     with np.errstate(over="ignore"):  # half the rate is where the gain is 0
-        ratio = np.tan(np.pi * rfftfreq(grid)) / math.tan(math.pi * cutoff)
+        ratio = np.tan(np.pi * np.fft.rfftfreq(grid)) / math.tan(math.pi * cutoff)
         squared_gain = 1 / (1 + ratio ** (2 * order))
-    response = irfft(squared_gain, grid)
+    response = np.fft.irfft(squared_gain, grid)
     return np.concatenate([response[reach - 1 : 0 : -1], response[:reach]])
 
 

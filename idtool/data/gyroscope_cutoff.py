@@ -14,6 +14,7 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.data.base_sensors import GYROSCOPE
 from idtool.data.logs.log import Channel, JointLog
+from idtool.data.power_density import power_density
 
 _MAX_NOISE_TO_MOTION = 1e-3  # ratio of powers; the relative bias of what is identified is about as large
 _MAX_NOISE_TO_HELD_BASE = 0.1  # likewise; no gyroscope is so noisy that a base which moves is below
@@ -86,8 +87,6 @@ def gyroscope_cutoff(logs: Sequence[JointLog]) -> float:
 
 def _cumulative_spectrum(log: JointLog) -> _CumulativeSpectrum | None:
     """Spectrum of a log's longest part without a gap; None if that is shorter than a segment of the spectrum."""
-    from scipy.signal import welch
-
     longest = max(log.segments, key=lambda segment: segment.stop - segment.start)
     start, end = log.t[longest.start], log.t[longest.stop - 1]
     stamps = log.channels[GYROSCOPE[0]].t
@@ -97,7 +96,7 @@ def _cumulative_spectrum(log: JointLog) -> _CumulativeSpectrum | None:
     if period == 0 or is_used.sum() * period < _SEGMENT_DURATION:
         return None
     segment_samples = round(_SEGMENT_DURATION / period)
-    frequencies, density_by_axis = welch(rates[:, is_used], 1 / period, nperseg=segment_samples)
+    frequencies, density_by_axis = power_density(rates[:, is_used], period, segment_samples)
     nyquist = frequencies[-1]
     is_noise = (frequencies > _NOISE_FROM * nyquist) & (frequencies < _NOISE_TO * nyquist)
     noise_by_axis = np.median(density_by_axis[:, is_noise], axis=1)

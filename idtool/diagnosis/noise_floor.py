@@ -15,10 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import nnls
-from scipy.signal import periodogram
 
 from idtool.common.arrays import Array, Mask
+from idtool.data.power_density import periodograms
 from idtool.data.signals import Batch
 from idtool.diagnosis.residual_series import MIN_SHARE
 from idtool.dynamics.linearized_model import LinearizedModel
@@ -265,7 +264,7 @@ def _periodograms(residual: Array, moving: Mask, dt: float) -> list[Array]:
             windows.append(interpolated[start : start + _WINDOW] / np.sqrt(share))
     if not windows:
         return []
-    return list(periodogram(np.array(windows), 1 / dt, window="hann", detrend=False)[1])
+    return list(periodograms(np.array(windows), dt))
 
 
 def _noise_in_band(f: Array, powers: Array, passed_power: Array, band: float) -> tuple[float, float]:
@@ -304,6 +303,19 @@ def _noise_density(f: Array, density: Array, band: float) -> Array:
     noise = np.full_like(f, np.median(density[use]))
     for _ in range(_ITERATIONS):
         own = use & (density < _LINE * noise)
-        c, _ = nnls(columns[own] / noise[own, None], density[own] / noise[own])
+        c = _nonnegative_pair(columns[own] / noise[own, None], density[own] / noise[own])
         noise = np.maximum(columns @ c, 1e-3 * noise)
     return np.asarray(noise)
+
+
+def _nonnegative_pair(A: Array, b: Array) -> Array:
+    """Least-squares solution of A c = b with two coefficients that are not negative, shape (2,)."""
+    c = np.linalg.lstsq(A, b, rcond=None)[0]
+    if (c >= 0).all():
+        return np.asarray(c)
+    gain = A.T @ b
+    gain_of_one = np.maximum(gain, 0) / np.linalg.norm(A, axis=0)  # by which each alone reduces the error
+    best = gain_of_one.argmax()
+    c = np.zeros(2)
+    c[best] = max(gain[best], 0.0) / (A[:, best] @ A[:, best])
+    return c

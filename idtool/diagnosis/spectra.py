@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import fft
 
 from idtool.common.arrays import Array, ComplexArray, Indices, Mask
+from idtool.common.fourier import fast_length
 
 WINDOW_SECONDS = 4.0  # length of the windows of Welch's method
 _MAX_PERIODS = 300.0  # per turn
@@ -54,7 +54,7 @@ def power_density(x: Array, valid: Mask, dt: Array, segments: Sequence[slice], b
         for first in _window_starts(segment, length):
             end = min(first + length, segment.stop)
             window = hann[: end - first]
-            spectrum = fft.rfft(masked[first:end] * window, length)[1 : count + 1]
+            spectrum = np.fft.rfft(masked[first:end] * window, length)[1 : count + 1]
             power += 2 * float(dt[segment.start]) * np.square(np.abs(spectrum))
             weight += float(np.square(window) @ valid[first:end])
     frequencies = np.arange(1, count + 1) / WINDOW_SECONDS
@@ -100,9 +100,9 @@ def angle_spectrum(x: Array, q: Array, v: Array, band: float) -> tuple[Array, Ar
     index = np.minimum(((q - float(q.min())) / width).astype(np.intp), bins - 1)
     counts = np.bincount(index, minlength=bins)
     totals = np.bincount(index, x - x.mean(), bins)
-    size = fft.next_fast_len(_OVERSAMPLING * bins, real=True)
-    count_transform = np.conj(fft.rfft(counts, size))  # Σ exp(i n q)
-    total_transform = np.conj(fft.rfft(totals, size))  # Σ x exp(i n q)
+    size = fast_length(_OVERSAMPLING * bins)
+    count_transform = np.conj(np.fft.rfft(counts, size))  # Σ exp(i n q)
+    total_transform = np.conj(np.fft.rfft(totals, size))  # Σ x exp(i n q)
 
     last = min(int(highest * size * width / (2 * np.pi)), (len(count_transform) - 1) // 2)
     k = np.arange(_OVERSAMPLING, last + 1)

@@ -14,9 +14,8 @@ from hashlib import blake2b
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
-from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.arrays import Array, Indices, Mask, dilated
 from idtool.data.column_cache import IdentityKey
 from idtool.data.signals import Batch, Motion, reversals
 from idtool.dynamics.contact_model import ContactModel
@@ -331,7 +330,7 @@ class LinearModel:
             if reach:
                 if true.q[joint].any():  # the base and the wrench sensors have no position, and no friction
                     mask = mask | reversals(true.v[joint])
-                mask = ndimage.binary_dilation(mask, iterations=reach)
+                mask = dilated(mask, reach)
             excluded[joint] = mask
         return excluded
 

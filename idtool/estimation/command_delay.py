@@ -19,7 +19,6 @@ from functools import partial
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebval, chebvander
-from scipy.optimize import minimize_scalar, nnls
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ConfigError
@@ -319,6 +318,8 @@ class _Profile:
 
     def _nonnegative_fit(self, delay: float) -> tuple[Array, float]:
         """Bounded coefficients above their bounds, and the norm of the residual."""
+        from scipy.optimize import nnls
+
         tau = self._taus @ self._lags.weights(delay)
         if not self._Y.shape[1]:
             return np.zeros(0), float(np.linalg.norm(tau))
@@ -336,6 +337,8 @@ class _Profile:
 
     def minimizer(self) -> float:
         """The delay of least cost [s]."""
+        from scipy.optimize import minimize_scalar
+
         grid = np.linspace(0, MAX_DELAY, _GRID + 1)
         best = int(np.argmin([self.cost(delay) for delay in grid]))
         bracket = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID)])

@@ -18,7 +18,9 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ModelError
 from idtool.data.batches import BatchSpan
+from idtool.data.filters import convolve, zero_phase_butterworth
 from idtool.data.logs import JointLog
+from idtool.data.power_density import power_density
 from idtool.data.signals import Batch, Signals
 from idtool.dynamics.simulation.simulation import simulate
 from idtool.estimation.dataset.blocks import Blocks
@@ -154,10 +156,8 @@ def smoothing(q: Array, dt: float, band_hz: float) -> float:
     band_hz
         The band.
     """
-    from scipy.signal import welch
-
     a = np.diff(q, 2)  # whitens the motion, whose power at 1 Hz is a million times that at 30 Hz
-    f, power = welch(a, 1 / dt, nperseg=min(len(a), round(_LINES / band_hz / dt)), average="median")
+    f, power = power_density(a, dt, min(len(a), round(_LINES / band_hz / dt)), "median")
     f, power = f[1:], power[1:]
     power = power / (2 * np.sin(np.pi * f * dt)) ** 4  # of q
     noise = np.median(power[f > 2 * band_hz]) if f[-1] > 2 * band_hz else 0.0
@@ -168,19 +168,27 @@ def smoothing(q: Array, dt: float, band_hz: float) -> float:
 
 def _smoothed_log(signals: Signals, cutoff: Array) -> JointLog:
     """A log with motion and torque through low-passes, joint by joint, and without velocities."""
-    from scipy.signal import butter, sosfiltfilt
-
     channels, dt = signals.channels, signals.log.dt
-    filters = [butter(_ORDER, hz, fs=1 / dt, output="sos") if np.isfinite(hz) else None for hz in cutoff]
 
     def read(name: str, part: slice) -> Array:
         x = channels.signal(name, part)
-        for row, sections in zip(x, filters if name in ("q", "tau") else [], strict=False):
-            if sections is not None and np.isfinite(row).all():
-                row[:] = sosfiltfilt(sections, row)
+        for row, hz in zip(x, cutoff if name in ("q", "tau") else [], strict=False):
+            if np.isfinite(hz) and np.isfinite(row).all():
+                row[:] = _low_passed(row, hz, dt)
         return x
 
     return _even_log(signals, channels.stretches(), [name for name in signals.log.signals if name != "v"], read)
+
+
+def _low_passed(x: Array, cutoff: float, dt: float) -> Array:
+    """A signal through a zero-phase low-pass, continued by its images in its ends, shape (N,).
+
+    Cut-off [Hz], sample time [s].
+    """
+    kernel = zero_phase_butterworth(_ORDER, cutoff * dt)
+    reach = len(kernel) // 2
+    continued = np.pad(x, reach, mode="reflect", reflect_type="odd")
+    return convolve(continued, kernel / kernel.sum())[2 * reach : 2 * reach + len(x)]
 
 
 def _simulated_log(experiment: Experiment, run: Run, theta: Array, progress: Progress) -> JointLog:

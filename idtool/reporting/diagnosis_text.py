@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from idtool.common.names import capitalized
 from idtool.common.number_text import number
@@ -13,15 +14,17 @@ from idtool.diagnosis.records import COMMAND_DELAY, RIGID_BODY
 from idtool.dynamics.effects import NamedEffect, effect_types, target_name
 from idtool.dynamics.effects import effect_name as named_effect_name
 from idtool.reporting.results.base import ByJointOrNone
-from idtool.reporting.results.diagnosis import (
-    AgainstReport,
-    CandidateReport,
-    ChangeReport,
-    DiagnosisReport,
-    ErrorLevel,
-    StepReport,
-)
 from idtool.reporting.results.fit import EffectReport
+
+if TYPE_CHECKING:
+    from idtool.reporting.results.diagnosis import (
+        AgainstReport,
+        CandidateReport,
+        ChangeReport,
+        DiagnosisReport,
+        ErrorLevel,
+        StepReport,
+    )
 
 UNKNOWN = "unknown"
 RESIDUAL_MAPS = "the residual maps in diagnosis.html"  # which the page links to

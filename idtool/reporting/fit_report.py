@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,7 +46,6 @@ from idtool.reporting.results.fit import (
     WrenchSensorReport,
 )
 from idtool.reporting.results.rollouts import Simulation
-from idtool.reporting.results.validation import ModelErrors, ModelErrorsByKind, ValidationReport
 from idtool.reporting.simulation_report import simulation_report, why_not_simulated
 from idtool.reporting.uncertainty_report import (
     base_report,
@@ -82,6 +81,9 @@ from idtool.robot.kinematics import body_placements
 from idtool.robot.meshes import relocated_mesh
 from idtool.robot.urdf.writing import JointDynamics
 from idtool.robot.witness import deviation_ellipsoid
+
+if TYPE_CHECKING:
+    from idtool.reporting.results.validation import ValidationReport
 
 
 def fit_report(
@@ -591,6 +593,8 @@ def validation_report(
     why_not
         Why there is no simulation, from `why_not_simulated`.
     """
+    from idtool.reporting.results.validation import ModelErrors, ModelErrorsByKind, ValidationReport
+
     joints = tuple(units)
     rms = ModelErrors(**{model: plain_data(errors.rms(joints)) for model, errors in evaluation.errors.items()})
     rms_raw = {model: plain_data(errors.rms(joints, raw=True)) for model, errors in evaluation.errors.items()}

@@ -15,7 +15,6 @@ from functools import cached_property
 from itertools import combinations, product
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
@@ -25,6 +24,7 @@ from idtool.robot.body import Frame
 from idtool.robot.collision_geometry import ConvexPart, DistanceQueries, read_convex_parts
 from idtool.robot.kinematics import body_placements
 from idtool.robot.model import RobotModel
+from idtool.robot.rotation import rotation_about
 from idtool.robot.urdf.reading import Robot, UrdfJoint
 
 LinkPair = tuple[str, str]
@@ -238,7 +238,7 @@ def _link_frames(model: RobotModel, locked_joints: Mapping[str, float]) -> dict[
         if joint.kind == "prismatic":
             frames[joint.child] = mount.compose(np.eye(3), joint.axis * position)
         else:
-            rotation = Rotation.from_rotvec(joint.axis * position).as_matrix()
+            rotation = rotation_about(joint.axis, position)
             frames[joint.child] = mount.compose(rotation, np.zeros(3))
     return {link: frame for link, frame in frames.items() if link not in rotors}
 

@@ -17,7 +17,6 @@ import coal
 import numpy as np
 from lxml import etree
 from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ModelError
@@ -26,6 +25,7 @@ from idtool.common.notice import Notice
 from idtool.robot.body import Frame
 from idtool.robot.geometry import link_geometry, link_vertices
 from idtool.robot.meshes import UnreadableGeometryError, numeric_attribute
+from idtool.robot.rotation import rotation_from_rpy
 from idtool.robot.urdf.reading import Robot, parse_xml
 
 _MAX_PARTS = 16  # of a link; more are taken as their common hull
@@ -168,7 +168,7 @@ def _convex_part(robot: Robot, element: etree._Element, link: str, frame: Frame)
     if origin is not None:
         xyz = numeric_attribute(origin, "xyz", 3, "0 0 0")
         rpy = numeric_attribute(origin, "rpy", 3, "0 0 0")
-        frame = frame.compose(Rotation.from_euler("xyz", rpy).as_matrix(), xyz)
+        frame = frame.compose(rotation_from_rpy(rpy), xyz)
     if geometry.tag == "mesh":
         try:
             points = link_vertices(robot, link, geometry.get("filename", ""))

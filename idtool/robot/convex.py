@@ -6,7 +6,6 @@ A plane is a row (n, d), shape (4,): its half-space holds the points x with n ·
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from idtool.common.arrays import Array
 
@@ -31,6 +30,8 @@ def enclosing_points(points: Array) -> Array:
     The corners of the convex hull where the points are few; of many, as of a scanned ball, corners of a polyhedron that
     is about 0.3 % larger. In a plane or on a line they are the corners of the polygon or the two ends.
     """
+    from scipy.spatial import ConvexHull
+
     if len(points) > _MAX_EXACT:
         points = _unique_points(points)
     local = (points - points.mean(axis=0)) @ principal_axes(points).T
@@ -54,6 +55,8 @@ def enclosing_points(points: Array) -> Array:
 
 def face_planes(points: Array) -> Array:
     """Planes of the faces of the points' convex hull, shape (k, 4), n pointing out; the points span a volume."""
+    from scipy.spatial import ConvexHull
+
     planes = ConvexHull(points).equations
     # Qhull gives a plane for each triangle of a face.
     _, first = np.unique(planes.round(_DIGITS), axis=0, return_index=True)
@@ -92,6 +95,8 @@ def enclosing_planes(points: Array, max_planes: int) -> Array:
 
 def _cut_box(faces: Array, points: Array, max_planes: int) -> Array:
     """Planes of the box around a hull and of some of the hull's faces, the origin inside."""
+    from scipy.spatial import HalfspaceIntersection
+
     upper = np.column_stack([np.eye(3), -points.max(axis=0)])
     lower = np.column_stack([-np.eye(3), points.min(axis=0)])
     planes = np.concatenate([upper, lower])
@@ -108,6 +113,8 @@ def _cut_box(faces: Array, points: Array, max_planes: int) -> Array:
 
 def polyhedron_corners(planes: Array, inside: Array) -> Array:
     """Corners of the polyhedron within planes, shape (k, 4), around a point strictly inside, shape (3,)."""
+    from scipy.spatial import ConvexHull, HalfspaceIntersection
+
     corners = HalfspaceIntersection(planes, inside).intersections
     return np.asarray(corners[ConvexHull(corners).vertices])
 

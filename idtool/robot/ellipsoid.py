@@ -5,15 +5,14 @@ S = {x : (x − x_s)ᵀ Q_s⁻¹ (x − x_s) ≤ 1} (23), or homogeneously {x : 
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.robot.convex import principal_axes
+from idtool.robot.rotation import rotation_from_rpy, rpy_from_rotation
 
 _ADDED_POINTS = 32  # farthest points beyond the ellipsoid that each iteration adds
 
@@ -39,9 +38,7 @@ class Ellipsoid:
     @classmethod
     def from_axes(cls, center: ArrayLike, semi_axes: ArrayLike, R: Array) -> Ellipsoid:
         """The ellipsoid whose axes are the columns of the rotation matrix R, shape (3, 3)."""
-        with warnings.catch_warnings(action="ignore"):  # of gimbal lock: any of the angles that make R will do
-            rpy = Rotation.from_matrix(R).as_euler("xyz")
-        x, y, z = np.array([center, semi_axes, rpy], dtype=float).tolist()
+        x, y, z = np.array([center, semi_axes, rpy_from_rotation(R)], dtype=float).tolist()
         return cls(tuple(x), tuple(y), tuple(z))
 
     def mirrored(self, signs: Array) -> Ellipsoid:
@@ -55,8 +52,7 @@ class Ellipsoid:
     @property
     def rotation(self) -> Array:
         """Axes as columns, shape (3, 3)."""
-        matrix: Array = Rotation.from_euler("xyz", self.rpy).as_matrix()
-        return matrix
+        return rotation_from_rpy(self.rpy)
 
     @property
     def Q_s(self) -> Array:  # noqa: N802

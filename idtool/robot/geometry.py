@@ -5,6 +5,7 @@ What cannot be read is listed with the reason.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from contextlib import suppress
@@ -14,13 +15,12 @@ from pathlib import Path
 
 import numpy as np
 from lxml import etree
-from scipy.spatial import ConvexHull, QhullError
-from scipy.spatial.transform import Rotation
 
-from idtool.common.arrays import Array
+from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ModelError
 from idtool.robot.convex import enclosing_points
 from idtool.robot.meshes import Mesh, UnreadableGeometryError, merge_meshes, numeric_attribute, read_mesh
+from idtool.robot.rotation import rotation_from_rpy
 from idtool.robot.urdf.reading import Robot, parse_xml
 
 _SIDES = 32  # of the polygon around a circle, 0.5 % larger
@@ -112,7 +112,7 @@ def _element_meshes(urdf: Path, elements: list[etree._Element]) -> Iterator[Mesh
     for element in elements:
         part = _geometry_element(element)
         if part is not None:
-            with suppress(UnreadableGeometryError, QhullError):
+            with suppress(UnreadableGeometryError):
                 R, p = _origin(element)
                 mesh = _part_mesh(urdf, part)
                 yield Mesh(mesh.points @ R.T + p, mesh.faces)
@@ -180,7 +180,7 @@ def _origin(element: etree._Element) -> tuple[Array, Array]:
         return np.eye(3), np.zeros(3)
     xyz = numeric_attribute(origin, "xyz", 3, default="0 0 0")
     rpy = numeric_attribute(origin, "rpy", 3, default="0 0 0")
-    return Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+    return rotation_from_rpy(rpy), xyz
 
 
 def _part_points(urdf: Path, part: etree._Element) -> Array:
@@ -200,17 +200,35 @@ def _part_points(urdf: Path, part: etree._Element) -> Array:
 
 
 def _part_mesh(urdf: Path, part: etree._Element) -> Mesh:
-    """Triangles of a primitive or a mesh, in its own frame; QhullError for what has no volume."""
+    """Triangles of a primitive or a mesh, in its own frame."""
     if part.tag == "mesh":
         mesh = read_mesh(urdf, part.get("filename", ""))
         return Mesh(mesh.points * numeric_attribute(part, "scale", 3, default="1 1 1"), mesh.faces)
     points = _part_points(urdf, part)
-    return Mesh(points, ConvexHull(points).simplices.astype(np.intp))
+    if part.tag == "box":
+        return Mesh(points, _cube_faces())
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return Mesh(points, ConvexHull(points).simplices.astype(np.intp))
+    except QhullError:
+        raise UnreadableGeometryError(f"{part.tag} has no volume") from None
 
 
 @cache
 def _cube_corners() -> Array:
     return np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+
+
+@cache
+def _cube_faces() -> Indices:
+    """Two triangles for each side of a cube, of the corners as in `_cube_corners`."""
+    corners = _cube_corners()
+    triangles = []
+    for axis, side in itertools.product(range(3), (-1, 1)):
+        a, b, c, d = np.flatnonzero(corners[:, axis] == side)  # a and d are opposite corners
+        triangles += [(a, b, d), (a, d, c)]
+    return np.array(triangles)
 
 
 @cache
@@ -223,6 +241,8 @@ def _disc_points() -> Array:
 @cache
 def _ball_points() -> Array:
     """Corners of a polyhedron around the unit ball."""
+    from scipy.spatial import ConvexHull
+
     k = np.arange(_DIRECTIONS) + 0.5
     angle = np.pi * (1 + math.sqrt(5)) * k
     z = 1 - 2 * k / _DIRECTIONS

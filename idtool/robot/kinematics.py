@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Indices
 from idtool.robot.body import Body, Frame
 from idtool.robot.inertia import skew
 from idtool.robot.model import RobotModel
+from idtool.robot.rotation import rotation_about
 
 
 @dataclass(frozen=True)
@@ -151,11 +151,11 @@ def body_placements(model: RobotModel, q: Array) -> dict[int, tuple[Array, Array
         R_parent, p_parent = placements[body.mount.body]
         R = R_parent @ body.mount.R
         p = p_parent + R_parent @ body.mount.p
-        phi = (body.ratios @ q + body.offset)[:, None]
+        phi = body.ratios @ q + body.offset
         if body.prismatic:
-            placements[i] = R, p + R @ body.axis * phi
+            placements[i] = R, p + R @ body.axis * phi[:, None]
         else:
-            placements[i] = R @ Rotation.from_rotvec(body.axis * phi).as_matrix(), p
+            placements[i] = R @ rotation_about(body.axis, phi), p
     return placements
 
 

@@ -18,7 +18,6 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-import trimesh
 from lxml import etree
 
 from idtool.common.arrays import Array, Indices
@@ -31,8 +30,6 @@ _LARGE_FILE = 1 << 20  # bytes
 _MAX_NODES = 10_000  # of a scene, repetitions written out, so that nested ones cannot blow up
 _FORMATS = ("stl", "obj", "ply", "off", "dae")
 _MAX_CELLS = 128  # along the longest side, in the finest grid by which a mesh is simplified
-
-logging.getLogger("trimesh").addHandler(logging.NullHandler())  # its remarks on materials are not for the user
 
 
 class UnreadableGeometryError(Exception):
@@ -200,6 +197,9 @@ def _cluster_vertices(mesh: Mesh, cells: int) -> Mesh:
 
 def _parse_mesh(path: Path, data: bytes, kind: str) -> Mesh:
     """All triangles in a mesh file's contents [m]."""
+    import trimesh
+
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())  # its remarks on materials are not for the user
     options: dict[str, Any] = {"skip_materials": True} if kind in ("obj", "ply") else {}
     try:
         unit = _collada_unit(parse_xml(path, data)) if kind == "dae" else 1.0

@@ -20,7 +20,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, ModelError
@@ -31,6 +30,7 @@ from idtool.robot.bounding import bounding_shape
 from idtool.robot.config import BoundingEllipsoid, Config, RotorConfig, WrenchSensor
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia, skew, symmetric_matrix
+from idtool.robot.rotation import rotation_about, rotation_from_rpy
 from idtool.robot.shapes import Shape
 from idtool.robot.urdf.reading import Robot, UrdfJoint
 
@@ -431,7 +431,7 @@ class _Builder:
             elif prismatic:
                 mount = mount.compose(np.eye(3), joint.axis * offset)
             else:
-                mount = mount.compose(Rotation.from_rotvec(joint.axis * offset).as_matrix(), np.zeros(3))
+                mount = mount.compose(rotation_about(joint.axis, offset), np.zeros(3))
         elif joint.name in self.sensors:
             self.bodies.append(_free_body(joint.child, mount, self.sensors[joint.name], len(self.joints)))
             mount = Frame(len(self.bodies) - 1, np.eye(3), np.zeros(3))
@@ -476,7 +476,7 @@ class _Builder:
         if rotor.bounding_ellipsoid is not None:
             bounds = (rotor.bounding_ellipsoid,)
         if not ratios.any():  # dead weight
-            locked = mount.compose(Rotation.from_rotvec(axis * offset).as_matrix(), np.zeros(3))
+            locked = mount.compose(rotation_about(axis, offset), np.zeros(3))
             self._lump(name, pi, locked, bounds)
             return
         shapes = self.config.bounding_shapes.get(name, ())
@@ -515,9 +515,7 @@ class _Builder:
         driven = self._driven_joint(rotor)
         stator = self.frames[rotor.parent or driven.parent]
         if rotor.origin is not None:
-            return stator.compose(
-                Rotation.from_euler("xyz", rotor.origin.rpy).as_matrix(), np.asarray(rotor.origin.xyz)
-            )
+            return stator.compose(rotation_from_rpy(rotor.origin.rpy), np.asarray(rotor.origin.xyz))
         if rotor.parent in (None, driven.parent):
             return stator.compose(driven.R, driven.p)
         raise ConfigError(f"{key}.origin", "is missing; give the rotor's placement in its parent")

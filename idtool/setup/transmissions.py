@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import difflib
 import math
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.robot.inertia import mass_com_inertia
+from idtool.robot.rotation import rpy_from_rotation
 from idtool.robot.urdf.reading import Robot, UrdfJoint, parse_xml
 
 _RATIOS = ("mechanicalReduction", "mechanical_reduction")  # of ROS 1, and of ros2_control
@@ -64,13 +63,6 @@ def _alike(link: str, joint: str) -> float:
     return difflib.SequenceMatcher(None, link.lower().replace("rotor", ""), joint.lower().replace("joint", "")).ratio()
 
 
-def _rpy(R: Array) -> Array:
-    """Roll, pitch and yaw of a rotation, shape (3,) [rad]; where only roll and yaw together matter, yaw is zero."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # that it did so
-        return Rotation.from_matrix(R).as_euler("xyz")
-
-
 def rotor_template(robot: Robot, joint: UrdfJoint, ratio: float | None, link: str | None) -> dict[str, Any]:
     """An entry under ``rotors`` for a joint, null where only a person knows.
 
@@ -90,7 +82,7 @@ def rotor_template(robot: Robot, joint: UrdfJoint, ratio: float | None, link: st
         pi = robot.links[link]
         com = [0.0, 0.0, 0.0] if pi is None else [round(float(x), 4) + 0.0 for x in mass_com_inertia(pi)[1]]
         return {**drive, "bounding_ellipsoid": {"center": com, "semi_axes": [None] * 3}}
-    rpy = _rpy(joint.R)
+    rpy = rpy_from_rotation(joint.R)
     return {
         **drive,
         "parent": joint.parent,
@@ -113,7 +105,7 @@ def solid_ellipsoid(pi: Array) -> dict[str, Any] | None:
     if not moments[0] > 0:
         return None
     axes = axes * np.sign(np.linalg.det(axes))
-    rpy = _rpy(axes)
+    rpy = rpy_from_rotation(axes)
     return {
         "center": [round(float(x), 4) + 0.0 for x in com],
         "semi_axes": [float(f"{math.sqrt(5 * x / mass):.3g}") for x in moments],

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin  # type: ignore[import-untyped]
 import pytest
-from robots import chain, inertial, joint, link
+import yourdfpy
+from robots import chain, inertial, joint, link, random_urdf
 from scipy.spatial.transform import Rotation
 
 from idtool.common.exceptions import ModelError
+from idtool.robot.inertia import from_mass_com_inertia
 from idtool.robot.urdf.reading import Robot, read_robot
 
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
 Read = Callable[[str | bytes], Robot]
 
 
@@ -70,6 +74,39 @@ def test_what_is_not_needed_is_not_read(robot_of: Read) -> None:
     assert list(robot_of(text.replace("</robot>", extra)).joints) == ["膝"]
 
 
+@pytest.mark.parametrize("source", ["leg", "belt_arm", *range(8)])
+def test_another_parser_reads_the_same(robot_of: Read, source: str | int) -> None:
+    """The sample robots and random ones, by yourdfpy, which is not particular about what it reads."""
+    if isinstance(source, int):
+        text = random_urdf(np.random.default_rng(source), size=9, massless=0.3)
+    else:
+        text = (SAMPLES / f"{source}.urdf").read_text()
+    robot = robot_of(text)
+    other = yourdfpy.URDF.load(io.StringIO(text), build_scene_graph=False, load_meshes=False).robot
+    assert robot.links.keys() == {link.name for link in other.links}
+    assert robot.joints.keys() == {joint.name for joint in other.joints}
+    for theirs in other.links:
+        pi = robot.links[theirs.name]
+        assert (pi is None) == (theirs.inertial is None)
+        if pi is not None:
+            T = np.eye(4) if theirs.inertial.origin is None else theirs.inertial.origin
+            moments = T[:3, :3] @ theirs.inertial.inertia @ T[:3, :3].T
+            expected = from_mass_com_inertia(theirs.inertial.mass, T[:3, 3], moments)
+            np.testing.assert_allclose(pi, expected, rtol=1e-12, atol=1e-15)
+    for theirs in other.joints:
+        ours = robot.joints[theirs.name]
+        T = np.eye(4) if theirs.origin is None else theirs.origin
+        np.testing.assert_allclose(ours.R, T[:3, :3], rtol=0, atol=1e-15)
+        np.testing.assert_array_equal(ours.p, T[:3, 3])
+        assert (ours.kind, ours.parent, ours.child) == (theirs.type, theirs.parent, theirs.child)
+        if theirs.limit is not None and theirs.type != "continuous":
+            assert (ours.lower, ours.upper, ours.effort) == (
+                theirs.limit.lower,
+                theirs.limit.upper,
+                theirs.limit.effort,
+            )
+
+
 XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
 ENTITIES = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10}">' for i in range(1, 10))
 INERTIAL = '<inertial><mass value="{}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
@@ -115,18 +152,21 @@ PAIR = '<robot name="r"><link name="l0"/><link name="l1">{}</link>{}</robot>'
         (chain(link(1)).replace('<link name="l1"/>', "<link/>"), "has no name"),
         (chain(link(1, axis="0 0 0")), "joint j1: its axis is zero"),
         (chain(link(1, axis="0 0 nan")), "not consist of three finite numbers"),
-        (chain(link(1, axis="0 1")), "not consist of three finite numbers"),
+        (chain(link(1, axis="0 1")), "joint j1: its axis xyz '0 1' should be three finite numbers"),
         (chain(link(1, '<origin xyz="0 0 inf"/>')), "not consist of three finite numbers"),
         (chain(link(1, '<origin rpy="nan 0 0"/>')), "not consist of three finite numbers"),
-        (chain(link(1, '<origin xyz="0 0"/>')), "is not a well-formed URDF"),
-        (chain(link(1, '<origin xyz="0 0 up"/>')), "is not a well-formed URDF"),
+        (chain(link(1, '<origin xyz="0 0"/>')), "joint j1: its origin xyz '0 0' should be three finite numbers"),
+        (chain(link(1, '<origin xyz="0 0 up"/>')), "joint j1: its origin xyz '0 0 up' should be three finite numbers"),
+        (chain(link(1, '<origin rpy="0 0 0 0"/>')), "its origin rpy '0 0 0 0' should be three finite numbers"),
+        (chain(link(1, '<dynamics friction="some"/>')), "its dynamics friction 'some' should be a finite number"),
+        (chain(link(1, '<origin xyz="0 0 ${x}"/>')), "run xacro"),
         (
             chain(link(1, '<dynamics damping="nan"/>')),
             "joint j1: its dynamics or mimic has a value that is not a fin",
         ),
         (chain(link(1), link(2, '<mimic joint="j1" multiplier="inf"/>')), "joint j2: its dynamics or mimic has"),
         (PAIR.format(INERTIAL.format("nan"), link(1)), "link l1: its inertial has a value that is not a finite"),
-        (PAIR.format(INERTIAL.format("heavy"), link(1)), "is not a well-formed URDF"),
+        (PAIR.format(INERTIAL.format("heavy"), link(1)), "link l1: its mass value 'heavy' should be a finite number"),
         (PAIR.format(INERTIAL.format("1").replace('iyy="1" ', ""), link(1)), "link l1: its inertia lacks iyy"),
     ],
 )

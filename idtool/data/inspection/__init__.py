@@ -47,9 +47,9 @@ from idtool.data.inspection.records import (
 )
 from idtool.data.inspection.sensor_findings import sensor_findings
 from idtool.data.inspection.signal_statistics import column_statistics, quantisation
-from idtool.data.inspection.velocity import velocity_lag
 from idtool.data.logs.log import JointLog
 from idtool.data.logs.stored_arrays import copy_array, set_columns
+from idtool.data.velocity_agreement import velocity_lag
 from idtool.robot.config import Config
 
 __all__ = [

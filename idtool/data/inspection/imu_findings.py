@@ -7,16 +7,19 @@ orientation tells.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import ACCELEROMETER, GYROSCOPE, ORIENTATION
 from idtool.data.logs.log import JointLog
 from idtool.data.logs.sensor_channels import finite_samples, is_dead
+from idtool.data.smoothing import moving_mean
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 _GRAVITY = 9.81  # m/s²
 _MAX_SAMPLES = 1 << 16
@@ -47,7 +50,7 @@ def imu_findings(log: JointLog) -> Iterator[Notice]:
     acceleration = np.stack([channels[name].at(t) for name in ACCELEROMETER])
     rates = np.stack([channels[name].at(t) for name in GYROSCOPE])
     samples = max(round(_AVERAGE / log.dt), 1)
-    mean = uniform_filter1d(acceleration, samples, axis=1)
+    mean = moving_mean(acceleration, samples)
     size = float(np.median(np.linalg.norm(mean, axis=0)))
     if abs(size * _GRAVITY - _GRAVITY) < _TOLERANCE * _GRAVITY:
         message = f"the acceleration is {size:.3g} on average: it is in g, not in m/s²"
@@ -99,6 +102,8 @@ def _orientation_findings(quaternions: Array, mean: Array) -> Iterator[Notice]:
 
 def _angle_to_vertical(quaternions: Array, mean: Array) -> float:
     """Median angle [rad] between the mean acceleration and the vertical of an orientation."""
+    from scipy.spatial.transform import Rotation
+
     up = Rotation.from_quat(quaternions.T).as_matrix()[:, 2]  # the world's z axis in the IMU's
     cosine = (up.T * mean).sum(axis=0) / np.maximum(np.linalg.norm(mean, axis=0), 1e-9)
     return float(np.median(np.arccos(np.clip(cosine, -1, 1))))
@@ -106,12 +111,14 @@ def _angle_to_vertical(quaternions: Array, mean: Array) -> float:
 
 def _rate_findings(quaternions: Array, rates: Array, dt: float) -> Iterator[Notice]:
     """Notice if the angular velocity, shape (3, N), differs from that of the orientation, shape (4, N)."""
+    from scipy.spatial.transform import Rotation
+
     rotations = Rotation.from_quat(quaternions.T)
     step = max(round(0.05 / dt), 1)
     if len(rotations) <= 2 * step:
         return
     change = _rates_of(rotations, step, dt)
-    measured = uniform_filter1d(rates, step, axis=1)[:, step // 2 : step // 2 + change.shape[1]]
+    measured = moving_mean(rates, step)[:, step // 2 : step // 2 + change.shape[1]]
     if np.square(change).mean() < np.square(np.deg2rad(1.0)):  # it hardly turns
         return
     ratio = float(np.sqrt(np.square(measured).mean() / np.square(change).mean()))

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.inspection.jumps import Jumps
@@ -23,8 +22,9 @@ from idtool.data.inspection.signal_statistics import (
     stuck_share,
 )
 from idtool.data.inspection.torque import torque_source
-from idtool.data.inspection.velocity import Agreement, velocity_agreement
 from idtool.data.logs.log import SIGNALS, JointLog
+from idtool.data.smoothing import gaussian_mean, moving_mean
+from idtool.data.velocity_agreement import Agreement, velocity_agreement
 
 _MAX_QUANTISATION_SAMPLES = 1 << 15  # samples that quantisation is read from
 _MIN_RELATIVE_TRAVEL = 10.0  # range of q over its noise or resolution
@@ -126,7 +126,7 @@ def _speed(runs: Sequence[Array], derivatives: int, dt: float) -> Array:
     speeds = []
     for x in runs:
         v = np.gradient(x) / dt if derivatives else x
-        speeds.append(np.abs(uniform_filter1d(v, width)))
+        speeds.append(np.abs(moving_mean(v, width)))
     return np.concatenate(speeds)
 
 
@@ -154,7 +154,7 @@ def _velocity(log: JointLog, runs: Mapping[str, Sequence[Array]], stretches: Seq
     power = []
     for q, v, stretch in zip(runs["q"], runs["v"], stretches, strict=True):
         # where samples were lost without a gap the stamps show it; smoothed, they give the rate
-        rate = gaussian_filter1d(np.gradient(log.t[stretch]) / log.dt, _CLOCK_WIDTH)
+        rate = gaussian_mean(np.gradient(log.t[stretch]) / log.dt, _CLOCK_WIDTH)
         agreement = velocity_agreement(q, v * rate, log.dt)
         if not np.isnan(agreement.agreement):
             agreements.append(agreement)

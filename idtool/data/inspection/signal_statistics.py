@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.logs.stored_arrays import column_blocks
+from idtool.data.power_density import power_density
 
 _MIN_SAMPLES = 100  # samples that a share is taken of
 _MIN_LEVELS = 16  # fewer are believed only where most samples repeat one
@@ -104,12 +105,12 @@ def noise_level(x: Array) -> float:
     The lesser of two estimates: third differences, which a few jumps such as dry friction's do not disturb, and the
     upper half of the spectrum, which smooth fast motion does not reach.
     """
-    from scipy.signal import detrend, welch
-
     if len(x) < 16:
         return 0.0
     from_differences = float(np.median(np.abs(np.diff(x, 3)))) / (0.6745 * np.sqrt(20))
-    _, density = welch(detrend(x), nperseg=min(len(x), 1024))
+    t = np.linspace(-1, 1, len(x))
+    detrended = x - x.mean() - (t @ x) / (t @ t) * t
+    _, density = power_density(detrended, 1.0, min(len(x), 1024))
     from_spectrum = np.sqrt(0.5 * np.median(density[len(density) // 2 :]))
     return float(min(from_differences, from_spectrum))
 
@@ -132,14 +133,12 @@ def power_band(pieces: Sequence[Array], dt: float, derivatives: int = 0, share: 
     share
         Of the power.
     """
-    from scipy.signal import welch
-
     window = min(max(len(x) for x in pieces), max(int(10 / dt), 256))
     f = np.fft.rfftfreq(window, dt)
     density = np.zeros(len(f))
     for x in pieces:
         if len(x) >= window:
-            density += len(x) * welch(x, nperseg=window)[1]
+            density += len(x) * power_density(x, 1.0, window)[1]
     floor = np.median(density[-(len(f) // 4) - 1 :])
     density[density < _FLOOR_FACTOR * floor] = 0
     power = np.cumsum(density * f ** (2 * derivatives))

@@ -10,8 +10,8 @@ import numpy as np
 from idtool.common.notice import Notice, Severity
 from idtool.common.number_text import number, with_error
 from idtool.data.inspection.records import InspectedJoint, Velocity
-from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import JointLog
+from idtool.data.velocity_agreement import velocity_agreement
 
 MIN_LAG = 0.25  # samples: less, no fit can see
 MIN_LAG_ERRORS = 3.0  # standard errors that a lag must exceed to count

@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
-from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from idtool.common.arrays import Array
@@ -31,6 +30,9 @@ from idtool.data.logs.sensor_messages import SensorMessages, sensor_messages
 from idtool.data.logs.sensor_topics import SensorTopics
 from idtool.data.logs.times import convert_to_seconds
 from idtool.data.logs.topics import COMMANDS_OF, TopicReader
+
+if TYPE_CHECKING:
+    from mcap.writer import Writer
 
 SUFFIXES = (".mcap",)
 
@@ -141,6 +143,8 @@ def write(file: BinaryIO, log: JointLog) -> None:
     ValueError
         If a time does not fit a stamp.
     """
+    from mcap.writer import Writer
+
     sensors = sensor_messages(log.channels, float(np.min(log.t, initial=np.inf)))
     for t in (log.t, *(messages.t for messages in sensors)):
         if not (np.abs(t) < 2**31 - 1).all():

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.notice import Notice
@@ -187,6 +186,8 @@ class ChannelSearch:
         """Another order of the torques that fits the joints' own equations far better."""
         if max(u) < _SUSPICIOUS or max(u) == _NO_FIT or len(u) < 2:
             return None
+        from scipy.optimize import linear_sum_assignment
+
         cost = np.log(np.maximum(self._sample.exchanged, MIN_UNEXPLAINED))
         _, order = linear_sum_assignment(cost)
         if np.trace(cost) - cost[np.arange(len(u)), order].sum() < _MIN_ORDER_GAIN:

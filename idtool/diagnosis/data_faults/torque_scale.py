@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
@@ -113,6 +112,8 @@ def _has_placeholder_masses(fit: ChannelFit) -> bool:
 
 def _scale_factors(fit: ChannelFit, change: Change, T: Array) -> tuple[dict[str, float], dict[str, float]]:
     """By joint, the torque's multiple of the URDF's weight and inertia, where the data determine it."""
+    from scipy.optimize import nnls
+
     joints = fit.equation.joints
     parts: list[list[Array]] = [[np.zeros((5, 0))] for _ in joints]
     for motion in map(change, fit.motions):

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy import ndimage
 from typing_extensions import override
 
-from idtool.common.arrays import Array, Mask
+from idtool.common.arrays import Array, Mask, dilated
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.fixed_effect import FixedJointEffect
@@ -129,7 +128,7 @@ class Backlash(FixedJointEffect):
         crosses_fast = np.abs(trajectory.motor_velocity) > _MIN_FAST_CROSSING * self.nonlinear_values["width"]
         contact_is_uncertain = (trajectory.separated_share > 0) & (trajectory.separated_share < 1)
         reach = max(round(_IMPACT_DECAY / motion.dt), 1)
-        mask = ndimage.binary_dilation(crosses_fast | contact_is_uncertain, iterations=reach)
+        mask = dilated(crosses_fast | contact_is_uncertain, reach)
         return dict.fromkeys(range(len(motion.q)), mask)
 
     def _trajectory(self, motion: Motion, model: Linearization) -> _PlayTrajectory:

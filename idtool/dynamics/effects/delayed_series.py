@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import ndimage
-from scipy.interpolate import BSpline
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError
@@ -15,7 +13,6 @@ from idtool.dynamics.effects.entry_parameters import entry_location, read_number
 from idtool.robot.config import EffectEntry
 
 _MAX_DELAY = 1.0  # s: what is later belongs to another motion
-_SPLINE_BASIS = BSpline.basis_element(np.arange(-3.0, 4.0))  # of order 5, about 0
 _SPLINE_MARGIN = 16  # samples, more than a spline of order 5 is influenced by
 
 
@@ -40,13 +37,17 @@ def delayed(x: Array, samples: float) -> Array:
     Linear interpolation would damp frequencies near the end of the band. This is `scipy.ndimage.shift`, which weights
     each sample anew; here the weights of all samples are the same.
     """
+    from scipy import ndimage
+    from scipy.interpolate import BSpline
+
     whole_samples = math.floor(samples)
     fraction = samples - whole_samples
     pad = abs(whole_samples) + _SPLINE_MARGIN
     padded = np.pad(x, [(0, 0)] * (x.ndim - 1) + [(pad, pad)], mode="edge")
     coefficients = ndimage.spline_filter1d(padded, order=5, mode="mirror")
     neighbours = np.arange(-3, 3)  # samples within the reach of a basis function
-    weights = _SPLINE_BASIS(-fraction - neighbours)
+    basis = BSpline.basis_element(np.arange(-3.0, 4.0))  # of order 5, about 0
+    weights = basis(-fraction - neighbours)
     delayed = np.zeros(x.shape)
     for neighbour, weight in zip(neighbours, weights, strict=True):
         first = pad - whole_samples + neighbour

@@ -8,11 +8,11 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 from typing_extensions import override
 
-from idtool.common.arrays import Array, Mask
+from idtool.common.arrays import Array, Mask, dilated
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate
+from idtool.data.power_density import power_density
 from idtool.data.signals import Motion, reversals
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.fixed_effect import FixedJointEffect
@@ -359,16 +359,13 @@ def _power_density(x: Array, dt: float) -> tuple[Array, Array]:
     -------
     Frequencies [Hz], shape (F,), and the power density of each signal, shape (m, F) [its unit squared per Hz].
     """
-    from scipy.signal import welch
-
-    f, power = welch(x, 1 / dt, nperseg=min(_WELCH_SAMPLES, x.shape[-1]))
-    return np.asarray(f), np.asarray(power)
+    return power_density(x, dt, min(_WELCH_SAMPLES, x.shape[-1]))
 
 
 def _near_reversals(v: Array, time: float, dt: float) -> Mask:
     """Samples within a time [s] of a reversal of the velocity, and at least the two on each side of it, shape (N,)."""
     reach = max(round(time / dt), 1)
-    return ndimage.binary_dilation(reversals(v), iterations=reach)
+    return dilated(reversals(v), reach)
 
 
 def _smoothed(x: Array, low_pass: LowPass, margin: int = 0) -> Array:

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
-from scipy.optimize import least_squares
 from typing_extensions import override
 
 from idtool.common.arrays import Array
@@ -197,6 +196,8 @@ def nearest_realizable(c: Array, information: Array) -> Array | None:
 
     With J = L Lᵀ, every L is a body (Rucker & Wensing 2022), so that the search is unconstrained.
     """
+    from scipy.optimize import least_squares
+
     largest = information.diagonal().max()
     if not (c[0] > _MIN_MASS and largest > 0):
         return None

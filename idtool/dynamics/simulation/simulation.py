@@ -21,7 +21,6 @@ from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.input_torque import InputTorque, samples_per_step
 from idtool.dynamics.simulation.rollout_state import RolloutState, interpolate
-from idtool.dynamics.simulation.rollouts import LONGEST_STEP, Rollouts
 from idtool.dynamics.simulation.signal_interpolation import SignalInterpolation
 from idtool.dynamics.simulation.windows import measured_states, start_times, usable_range
 
@@ -182,6 +181,8 @@ class _Run:
     """
 
     def __init__(self, mechanism: Mechanism, signals: Signals, windows: tuple[slice, ...]) -> None:
+        from idtool.dynamics.simulation.rollouts import LONGEST_STEP, Rollouts
+
         self._mechanism = mechanism
         self._signals = signals
         self._windows = windows

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_propagation
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import LogError
@@ -154,6 +153,8 @@ def _with_detected_supports(
     log: JointLog, model: RobotModel, config: Config, supports: Sequence[Contact], loads: FootLoads | None
 ) -> JointLog:
     """The log with a flag for every contact that holds the base while no other contact carries the robot."""
+    from scipy.ndimage import binary_propagation
+
     others = [contact for contact in config.contacts if contact not in supports]
     carriers = flag_channels([contact for contact in others if not contact.has_automatic_flag], log)
     carriers += measured_loads(others, log, model)

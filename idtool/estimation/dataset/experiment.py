@@ -17,7 +17,6 @@ from idtool.data.base_sensors import POSE, BaseSensors, needed_channels, sensor_
 from idtool.data.batches import Batches
 from idtool.data.contact_channels import ContactChannels
 from idtool.data.controller import with_unknown_torque, without_constant_torque
-from idtool.data.inspection.imu_findings import dead_imu_sensors, imu_findings
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.logs.sensor_channels import is_dead, with_sensors
@@ -550,6 +549,8 @@ def signals_of(log: JointLog, model: RobotModel, config: Config, recording: str 
         batch_samples=_batch_samples(model),
     )
     if base_sensors is not None:
+        from idtool.data.inspection.imu_findings import imu_findings
+
         signals.notices += imu_findings(log)
     return signals
 
@@ -673,6 +674,8 @@ def _check_sensors(log: JointLog, config: Config) -> None:
     if config.base.pose is not None and is_dead(log, POSE):
         what = "the pose of the base reads the same all the time; log it, or remove base.pose"
         raise LogError(log.path, what)
+    from idtool.data.inspection.imu_findings import dead_imu_sensors
+
     if not config.base.uses_pose and (dead := dead_imu_sensors(log)):
         what = f"the {dead} of the IMU reads the same all the time"
         raise LogError(log.path, f"{what}; log what it measures, or set base.kind: fixed if the base stands still")

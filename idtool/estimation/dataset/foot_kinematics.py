@@ -14,7 +14,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_erosion, uniform_filter1d
 
 from idtool.common.arrays import Array, Mask
 from idtool.data.base_sensors import PoseSensors
@@ -69,6 +68,8 @@ class FootMotion:
 
     def average(self, x: Array, window: float) -> Array:
         """Moving average of samples, shape (…, N), over a window [s]."""
+        from scipy.ndimage import uniform_filter1d
+
         return np.asarray(uniform_filter1d(x, max(round(window / self.dt), 1), axis=-1))
 
     def settled(self, margin: float) -> Mask:
@@ -76,6 +77,8 @@ class FootMotion:
 
         While a foot touches down or lifts off, it scuffs, and what is soft of it deforms.
         """
+        from scipy.ndimage import binary_erosion
+
         samples = max(int(np.ceil(margin / self.dt)), 1)
         return np.stack([binary_erosion(is_closed, iterations=samples) for is_closed in self.is_closed])
 

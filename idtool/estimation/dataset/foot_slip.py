@@ -14,7 +14,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.ndimage import binary_opening
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.names import join_names
@@ -62,6 +61,8 @@ class FootSlip:
 
     def add(self, speed: Array, t: Array) -> None:
         """Add a stretch: the speed, shape (N,), not a number where it does not slip, at times [s]."""
+        from scipy.ndimage import binary_opening
+
         shortest = max(round(_MIN_SECONDS / self.dt), 1)
         is_slipping = binary_opening(np.isfinite(speed), structure=np.ones(shortest, dtype=bool))
         self.speeds += speed[is_slipping].tolist()

@@ -10,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import binary_erosion
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import BaseSensors
 from idtool.data.contact_channels import ContactChannels
-from idtool.data.inspection.velocity import velocity_agreement
 from idtool.data.logs.log import JointLog
 from idtool.data.signals import Motion
+from idtool.data.velocity_agreement import velocity_agreement
 from idtool.dynamics.contact_model import ContactModel
 from idtool.robot.config import Config, Contact
 from idtool.robot.model import BASE_COORDINATES, RobotModel
@@ -92,6 +90,8 @@ def estimate_imu_delay(config: Config, model: RobotModel, logs: Sequence[JointLo
 
 def _delay_in_log(config: Config, model: RobotModel, log: JointLog) -> ImuDelay | None:
     """Delay of the IMU in a log, with its error by noise alone; None if the log does not tell it."""
+    from scipy.integrate import cumulative_trapezoid
+
     flagged = [contact for contact in config.contacts if _is_flagged_foot(contact, model, log)]
     if not flagged:
         return None
@@ -148,6 +148,8 @@ def _feet_jacobian(
 
     The generalized force per unit of a contact force is also the velocity of the contact per unit of each coordinate's.
     """
+    from scipy.ndimage import binary_erosion
+
     t = log.t[samples]
     contacts = ContactChannels(feet, log.channels, sensors).samples(t, t, lambda signal: signal)
     edge = max(round(_CONTACT_EDGE / log.dt), 1)

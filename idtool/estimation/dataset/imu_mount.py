@@ -10,12 +10,11 @@ them.
 from __future__ import annotations
 
 import itertools
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
@@ -23,7 +22,11 @@ from idtool.common.notice import Notice
 from idtool.estimation.dataset.foot_kinematics import FootMotion, without_mean
 from idtool.robot.config import Base
 from idtool.robot.inertia import skew
+from idtool.robot.rotation import rpy_from_rotation
 from idtool.robot.urdf.reading import Robot
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 _CONTACT_EDGE = 0.08  # s, after each touchdown and before each lift-off, in which a foot may scuff
 _AVERAGE = 0.05  # s
@@ -133,6 +136,8 @@ def mount_notice(fit: GyroscopeFit, robot: Robot, base: Base, imu_to_base: Array
     imu_to_base
         As in `fit_gyroscope`.
     """
+    from scipy.spatial.transform import Rotation
+
     if not fit.is_telling:
         return None
     configured = fit.explained(imu_to_base)
@@ -226,10 +231,7 @@ def _turned_notice(turn: Rotation, robot: Robot, base: Base) -> Notice:
 
 def _rpy(R: Array) -> str:
     """Angles of a rotation about the fixed axes x, y, z, as in a URDF [rad]."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # at a pitch of 90°, many angles give the same rotation
-        angles = Rotation.from_matrix(R).as_euler("xyz")
-    return " ".join(f"{angle + 0.0:.4g}" for angle in np.round(angles, 4))
+    return " ".join(f"{angle + 0.0:.4g}" for angle in np.round(rpy_from_rotation(R), 4))
 
 
 def _cross_unit(i: int, position: Array) -> Array:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.spatial.transform import Rotation
 
 from idtool.common.notice import Notice
 from idtool.data.base_sensors import PoseSensors
@@ -19,6 +17,9 @@ _MAX_SAMPLES = 60_000  # of the longest stretch
 
 def pose_against_imu(signals: Signals, pose: PoseSensors) -> Notice | None:
     """Notice about a pose whose link turns otherwise than the IMU tells; None if they agree, or hardly turn."""
+    from scipy.ndimage import gaussian_filter1d
+    from scipy.spatial.transform import Rotation
+
     imu = signals.base_sensors
     if imu is None:
         return None

@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import fft
 
 from idtool.common.arrays import Array
+from idtool.common.fourier import fast_length
 
 _LONGEST_LAG = 2.0  # s
 
@@ -56,8 +56,8 @@ class Correlations:
 
 def _products(x: Array, lags: int) -> Array:
     """Σ_t x(t) x(t + k) for k < lags, shape (nv, lags)."""
-    size = fft.next_fast_len(x.shape[1] + lags, real=True)
-    return np.asarray(fft.irfft(np.square(np.abs(fft.rfft(x, size))), size)[:, :lags])
+    size = fast_length(x.shape[1] + lags)
+    return np.asarray(np.fft.irfft(np.square(np.abs(np.fft.rfft(x, size))), size)[:, :lags])
 
 
 def _added(total: Array, new: Array) -> Array:

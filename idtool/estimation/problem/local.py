@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.optimize import least_squares
 from typing_extensions import override
 
 from idtool.common.arrays import Array
@@ -296,6 +295,8 @@ def _with_least_eigenvalue(J: Array, least: float) -> Array:
 
 
 def _solve(problem: Problem, start: Array, kind: type[Chart]) -> LocalSolution:
+    from scipy.optimize import least_squares
+
     started = time.perf_counter()
     residuals = Residuals(problem)
     z = start.copy()

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
@@ -243,6 +242,8 @@ def hull_centre_and_covariance(points: Array) -> tuple[Array, Array]:
 
     Of a tetrahedron with corners v_i and centre c the covariance is Σ (v_i − c)(v_i − c)ᵀ / 20.
     """
+    from scipy.spatial import ConvexHull
+
     hull = ConvexHull(points)
     faces = points[hull.simplices]
     corners = np.concatenate([faces, np.broadcast_to(points.mean(axis=0), (len(faces), 1, 3))], axis=1)

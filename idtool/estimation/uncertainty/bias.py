@@ -25,6 +25,7 @@ from idtool.estimation.instruments import Kind, instrumented_blocks, instruments
 from idtool.estimation.two_stage import unprojected, weak_joints
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.estimation.uncertainty.cluster_robust import ClusterRobustEstimate, cluster_robust_estimate
+from idtool.estimation.uncertainty.false_discovery import discoveries
 
 _RANK = 1e-8  # of the largest singular value of scaled columns: less is rounding
 _LONGEST = 60.0  # s of closed loop that are simulated only to see whether least squares is biased
@@ -141,8 +142,6 @@ def _first_stage(stacked: Reduction) -> list[Array]:
 
 def bias_check(pair: EstimatePair, base: BaseParameters) -> BiasCheck:
     """Compare two estimates, base parameter by base parameter."""
-    from scipy.stats import false_discovery_control
-
     rows, ls, iv = base.B, pair.ls, pair.iv
     is_determined = np.isfinite(ls.uncertainty.of(rows)) & np.isfinite(iv.uncertainty.of(rows))
     ls_value = np.where(is_determined, rows @ ls.theta, np.nan)
@@ -157,6 +156,6 @@ def bias_check(pair: EstimatePair, base: BaseParameters) -> BiasCheck:
     differs = np.zeros(len(rows), dtype=bool)
     if is_determined.any():
         p_values = 2 * stdtr(degrees_of_freedom[is_determined], -t[is_determined])
-        differs[is_determined] = false_discovery_control(p_values) < _FALSE_DISCOVERIES
+        differs[is_determined] = discoveries(p_values, _FALSE_DISCOVERIES)
     differs &= difference > iv.uncertainty.coverage_factor(rows) * iv.uncertainty.of(rows)
     return BiasCheck(pair.kind, pair.iterations, ls_value, iv_value, error, differs, pair.weak)

@@ -21,6 +21,7 @@ from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.sensor_offsets import with_offsets_of
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.estimation.uncertainty.cluster_robust import cluster_robust_estimate
+from idtool.estimation.uncertainty.false_discovery import discoveries
 
 _FALSE_DISCOVERIES = 0.05  # of the parameters that are said not to agree
 _INFINITE = 1e6  # degrees of freedom, as good as infinitely many
@@ -134,12 +135,10 @@ def _welch(value: Array, error: Array, freedom: Array) -> Array:
 
 def _differs(p_values: Array) -> Mask:
     """True for tests that fail, shape (r,)."""
-    from scipy.stats import false_discovery_control
-
     tested = np.flatnonzero(~np.isnan(p_values))
     differs = np.zeros(len(p_values), dtype=bool)
     if len(tested):
-        differs[tested] = false_discovery_control(p_values[tested]) < _FALSE_DISCOVERIES
+        differs[tested] = discoveries(p_values[tested], _FALSE_DISCOVERIES)
     return differs
 
 

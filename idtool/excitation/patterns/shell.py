@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BSpline as Spline
 from scipy.interpolate import make_interp_spline
-from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Indices
@@ -23,6 +22,7 @@ from idtool.common.names import suggestion
 from idtool.excitation.patterns.base import MotionSamples, Pattern, PatternSpec, smooth_step
 from idtool.robot.inertia import mass_com_inertia
 from idtool.robot.model import RobotModel
+from idtool.robot.rotation import rotation_about
 
 PHI_RATE = 12.0  # amplitude of the rate [rad/s]
 PHI_FREQUENCY = 1.63  # [rad/s]
@@ -210,7 +210,7 @@ def tip_and_jacobian(model: RobotModel, body: int, p: Array, q: Array) -> tuple[
         if link.prismatic:
             origin = origin + axis * phi[:, None]
         else:
-            R = R @ Rotation.from_rotvec(link.axis * phi[:, None]).as_matrix()
+            R = R @ rotation_about(link.axis, phi)
         axes.append((link, axis, origin))
     tip = origin + R @ p
     J = np.zeros((count, 3, len(q)))

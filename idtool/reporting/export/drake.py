@@ -11,7 +11,6 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.dynamics.effects.simulator_element import Damping
@@ -21,6 +20,7 @@ from idtool.reporting.export.inertia_check import is_acceptable, unrealizable_er
 from idtool.reporting.export.rotors import Rotor, averaged_rotors
 from idtool.reporting.export.transmissions import transmissions
 from idtool.robot.inertia import PI_SIZE
+from idtool.robot.rotation import rotation_about, rpy_from_rotation
 from idtool.robot.urdf.reading import UrdfJoint
 from idtool.robot.urdf.text import Edit, Element, apply_edits, root_element, set_attribute
 from idtool.robot.urdf.writing import JointDynamics, replace_parameters
@@ -131,8 +131,8 @@ def _fix_joint(text: bytes, element: Element, joint: UrdfJoint, value: float) ->
         if joint.kind == "prismatic":
             p = p + R @ joint.axis * value
         else:
-            R = R @ Rotation.from_rotvec(joint.axis * value).as_matrix()
-        xyz, rpy = (" ".join(repr(float(x)) for x in values) for values in (p, Rotation.from_matrix(R).as_euler("xyz")))
+            R = R @ rotation_about(joint.axis, value)
+        xyz, rpy = (" ".join(repr(float(x)) for x in values) for values in (p, rpy_from_rotation(R)))
         origin = f'<origin xyz="{xyz}" rpy="{rpy}"/>'.encode()
         old = element.first("origin")
         place = (old.start, old.stop) if old else (element.content, element.content)

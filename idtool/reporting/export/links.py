@@ -10,12 +10,12 @@ from collections.abc import Mapping
 
 import numpy as np
 from lxml import etree
-from scipy.spatial.transform import Rotation
 
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.motors import add_motor
 from idtool.reporting.export.primitives import primitives
 from idtool.reporting.export.scene import Scene, quaternion, text
+from idtool.robot.rotation import rotation_about
 from idtool.robot.urdf.reading import UrdfJoint
 
 _WORLD = "world"  # MuJoCo's name for what stands still
@@ -60,7 +60,7 @@ def _add_body(scene: Scene, joint: UrdfJoint) -> None:
         if joint.kind == "prismatic":
             p = p + R @ joint.axis * value
         else:
-            R = R @ Rotation.from_rotvec(joint.axis * value).as_matrix()
+            R = R @ rotation_about(joint.axis, value)
     name = _body_name(scene, joint.child)
     scene.bodies[joint.child] = etree.SubElement(
         scene.bodies[joint.parent], "body", name=name, pos=text(p), quat=quaternion(R)

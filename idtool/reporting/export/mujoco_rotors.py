@@ -13,12 +13,12 @@ from itertools import combinations
 
 import numpy as np
 from lxml import etree
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.rotors import Rotor
 from idtool.reporting.export.scene import Scene, quaternion, text
+from idtool.robot.rotation import rotation_about
 
 
 def add_reflected_inertia(scene: Scene, rotor: Rotor) -> None:
@@ -77,7 +77,7 @@ def add_rotor_body(scene: Scene, rotor: Rotor) -> None:
         If its inertia is not realizable.
     """
     body, mount = rotor.body, rotor.body.mount
-    R = mount.R @ Rotation.from_rotvec(body.axis * body.offset).as_matrix()  # its angle is 0 where the joints' are
+    R = mount.R @ rotation_about(body.axis, body.offset)  # its angle is 0 where the joints' are
     name = _unused_name(body.name, {"world", *(str(element.get("name")) for element in scene.bodies.values())})
     scene.bodies[name] = etree.SubElement(
         scene.bodies[scene.carrier(mount.body)], "body", name=name, pos=text(mount.p), quat=quaternion(R)

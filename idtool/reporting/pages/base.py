@@ -14,8 +14,13 @@ which the page contains, compressed.
 
 from __future__ import annotations
 
+import marshal
 import re
+import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from importlib.metadata import version
+from types import CodeType
 from typing import Any, NamedTuple
 
 import jinja2
@@ -23,6 +28,7 @@ from jinja2.bccache import Bucket
 from markupsafe import Markup, escape
 from typing_extensions import override
 
+from idtool.common.kept_files import keep, read_kept
 from idtool.common.number_text import number, with_error
 from idtool.reporting.number_text import metres, percent
 from idtool.reporting.pages.embedding import EmbeddedFigures
@@ -35,19 +41,39 @@ _WITHIN_FIGURE = re.compile(r" (?=[±→])|(?<=[±→]) |(?<=\d) (?=[^\W\d])")  
 
 
 class _CompiledTemplates(jinja2.BytecodeCache):
-    """Templates as compiled for the first page of this process."""
+    """Templates as compiled for the first page, of this process or of an earlier one."""
 
     def __init__(self) -> None:
-        self._code: dict[str, bytes] = {}
+        self._code: dict[str, CodeType] = {}
 
     @override
     def load_bytecode(self, bucket: Bucket) -> None:
-        if bucket.key in self._code:
-            bucket.bytecode_from_string(self._code[bucket.key])
+        if bucket.key not in self._code:
+            self._read(bucket)
+        bucket.code = self._code.get(bucket.key)
 
     @override
     def dump_bytecode(self, bucket: Bucket) -> None:
-        self._code[bucket.key] = bucket.bytecode_to_string()
+        if bucket.code is not None:
+            self._code[bucket.key] = bucket.code
+            keep(__file__, f"template-{bucket.key}", marshal.dumps((_fingerprint(bucket), bucket.code)))
+
+    def _read(self, bucket: Bucket) -> None:
+        """Read a template that an earlier process has compiled from the same text in the same way."""
+        kept = read_kept(__file__, f"template-{bucket.key}")
+        if kept is None:
+            return
+        with suppress(EOFError, ValueError, TypeError):  # damaged
+            fingerprint, code = marshal.loads(kept)  # noqa: S302  # as trustworthy as Python's own compiled modules
+            if fingerprint == _fingerprint(bucket):
+                self._code[bucket.key] = code
+
+
+def _fingerprint(bucket: Bucket) -> str:
+    """Text of all that the code of a template depends on."""
+    environment = bucket.environment
+    options = environment.autoescape, environment.optimized, environment.trim_blocks, environment.lstrip_blocks
+    return f"{bucket.checksum} {options} {version('jinja2')} {sys.version}"
 
 
 _COMPILED_TEMPLATES = _CompiledTemplates()
@@ -93,6 +119,7 @@ def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str
         loader=jinja2.PackageLoader("idtool.reporting"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
+        optimized=False,  # no filter is evaluated when a template is compiled, so that compiled ones can be kept
         trim_blocks=True,
         lstrip_blocks=True,
         bytecode_cache=_COMPILED_TEMPLATES,

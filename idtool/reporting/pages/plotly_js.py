@@ -7,13 +7,23 @@ import gzip
 import threading
 from functools import cache
 
-from plotly.offline import get_plotlyjs
+import plotly
+
+from idtool.common.kept_files import keep, read_kept
 
 
 @cache
 def compressed_plotly() -> str:
-    """plotly.js, compressed once in a process."""
-    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), compresslevel=6, mtime=0)).decode()
+    """plotly.js, compressed once."""
+    name = f"plotly-{plotly.__version__}.js.gz.base64"
+    kept = read_kept(__file__, name)
+    if kept is not None:
+        return kept.decode()
+    from plotly.offline import get_plotlyjs
+
+    compressed = base64.b64encode(gzip.compress(get_plotlyjs().encode(), compresslevel=6, mtime=0))
+    keep(__file__, name, compressed)
+    return compressed.decode()
 
 
 def prepare_plotly() -> None:

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
 from idtool.estimation.dataset.envelope import Trace
@@ -16,6 +15,7 @@ from idtool.robot.geometry import link_surface
 from idtool.robot.kinematics import body_placements
 from idtool.robot.meshes import Mesh, merge_meshes, simplify_mesh
 from idtool.robot.model import RobotModel
+from idtool.robot.rotation import quaternions
 from idtool.robot.urdf.reading import Robot
 
 ROBOT = ("The robot in 3D", "robot_3d.html")
@@ -64,15 +64,13 @@ def robot_view(
         body = model.bodies[i]
         surface = _body_surface(model.robot, body, max_faces)
         views.append({**views_by_name[body.name], "masses": None, "surface": surface})
-    frames = []
-    for n in range(len(t)):
-        frames.append([_frame(placements[i], n, turns[n]) for i in (-1, *indices)])
+    frames = np.stack([_frames(*placements[i], turns) for i in (-1, *indices)], axis=1)
     view = {
         "bodies": views,
         "shown": shown,
         "log": trace.name,
         "t": t.round(2).tolist(),
-        "frames": frames,
+        "frames": frames.round(_DECIMALS).tolist(),
         "hidden": len(model.bodies) - len(indices),
     }
     return {"robot": view}
@@ -83,20 +81,21 @@ def with_robot(sections: Sections, view: Mapping[str, Any]) -> Sections:
     return [section for section in sections if section != ROBOT or view["robot"]]
 
 
-def _postures(trace: Trace, max_postures: int) -> tuple[Array, Array, Rotation]:
+def _postures(trace: Trace, max_postures: int) -> tuple[Array, Array, Array]:
     """Times, positions and turns of the base: the middles of stretches in which something was measured.
 
-    Shape (n,), (nv, n), and n rotations to the world; none with a fixed base.
+    Shape (n,), (nv, n), and rotations to the world (n, 3, 3); unit matrices with a fixed base.
     """
     t = trace.t.reshape(-1, 2).mean(axis=1)
     q = _middles(trace.curves["q"])
     known = np.flatnonzero(np.isfinite(q).all(axis=0))
     spread = np.unique(np.linspace(0, len(known) - 1, max_postures).round().astype(int))
     chosen = known[spread]
-    turns = Rotation.identity(len(chosen))
+    turns = np.tile(np.eye(3), (len(chosen), 1, 1))
     if "base" in trace.curves:
         rows = _middles(trace.curves["base"])[:, chosen]
-        turns = Rotation.from_matrix(rows.T.reshape(-1, 3, 3))
+        left, _, right = np.linalg.svd(rows.T.reshape(-1, 3, 3))  # middles are rotations only approximately
+        turns = left @ right
     return t[chosen], q[:, chosen], turns
 
 
@@ -105,12 +104,9 @@ def _middles(pairs: Array) -> Array:
     return np.asarray(pairs.reshape(len(pairs), -1, 2).mean(axis=2))
 
 
-def _frame(placement: tuple[Array, Array], n: int, turn: Rotation) -> list[float]:
-    """Quaternion x, y, z, w and position [m] of a body in a posture, turned with the base."""
-    rotations, positions = placement
-    R = Rotation.from_matrix(rotations[min(n, len(rotations) - 1)])
-    p = positions[min(n, len(positions) - 1)]
-    return [round(float(x), _DECIMALS) for x in (*(turn * R).as_quat(), *turn.apply(p))]
+def _frames(R: Array, p: Array, turns: Array) -> Array:
+    """Quaternion x, y, z, w and position [m] of a body in every posture, turned with the base; shape (n, 7)."""
+    return np.concatenate([quaternions(turns @ R), (turns @ p[:, :, None])[:, :, 0]], axis=1)
 
 
 def _base_view(robot: Robot, max_faces: int) -> dict[str, Any]:

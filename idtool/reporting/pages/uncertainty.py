@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from idtool.common.number_text import number, range_text
 from idtool.reporting.number_text import interval_text
 from idtool.reporting.pages.base import Sections
-from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.results.fit import (
     BiasReport,
     BodyReport,
@@ -32,6 +31,9 @@ from idtool.reporting.sections.uncertainty import (
     shown_logs,
 )
 from idtool.robot.inertia import PARAMETER_NAMES
+
+if TYPE_CHECKING:
+    from idtool.reporting.results.diagnosis import DiagnosisReport
 
 SOURCES = ("Source of each parameter", "trust.html")
 BASE_PARAMETERS = BaseParametersSection()

@@ -107,7 +107,9 @@ def field(description: str) -> Any:
 class Record(BaseModel):
     """A part of a result, which cannot be changed."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, serialize_by_alias=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", populate_by_name=True, serialize_by_alias=True, defer_build=True
+    )
 
     def __str__(self) -> str:
         return repr(self)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from typing_extensions import override
@@ -12,7 +12,6 @@ from idtool.common.number_text import number
 from idtool.common.units import position_units, units_text
 from idtool.reporting.diagnosis_text import effect_name, owner_name
 from idtool.reporting.number_text import interval_text, metres
-from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.results.fit import BodyReport, FitReport, FrictionErrors, FrictionReport
 from idtool.reporting.sections.base import (
     NO_VALUE,
@@ -31,6 +30,9 @@ from idtool.reporting.sections.base import (
     unit_cells,
     unit_columns,
 )
+
+if TYPE_CHECKING:
+    from idtool.reporting.results.diagnosis import DiagnosisReport
 
 _SOURCES = ("data", "combination", "constraints", "prior")  # that a parameter may rest on
 
@@ -102,7 +104,7 @@ class ErrorsByKindSection(Section[FitReport]):
         return Table("RMS error by kind; of a force or moment, of its length", columns, rows)
 
 
-class KnownValuesSection(Section[FitReport | DiagnosisReport]):
+class KnownValuesSection(Section["FitReport | DiagnosisReport"]):
     """Quantities known by other means, and their identified values."""
 
     title = "Known values"
@@ -200,7 +202,7 @@ class WrenchSensorsSection(Section[FitReport]):
         )
 
 
-class BodiesSection(Section[FitReport | DiagnosisReport]):
+class BodiesSection(Section["FitReport | DiagnosisReport"]):
     """Masses, centres of mass, and the number of a body's ten parameters by source."""
 
     title = "Bodies"
@@ -277,7 +279,7 @@ def _remark(body: BodyReport) -> str:
     return "; ".join(parts)
 
 
-class ReflectedInertiasSection(Section[FitReport | DiagnosisReport]):
+class ReflectedInertiasSection(Section["FitReport | DiagnosisReport"]):
     """Rotors' inertia as the joints feel it."""
 
     title = "Rotors' reflected inertia"
@@ -309,7 +311,7 @@ class ReflectedInertiasSection(Section[FitReport | DiagnosisReport]):
         )
 
 
-class FrictionSection(Section[FitReport | DiagnosisReport]):
+class FrictionSection(Section["FitReport | DiagnosisReport"]):
     """Friction of each joint with standard errors."""
 
     title = "Friction"

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.text import Text
 
 from idtool.common.interrupt import restore_keyboard_interrupt
+from idtool.common.memory import resume_garbage_collection
 from idtool.reporting.results.base import NoticeReport
 from idtool.reporting.sections.base import Section, Table
 from idtool.reporting.terminal.layout import STYLE, printable, table_lines
@@ -37,6 +38,7 @@ class Terminal:
     """
 
     def __init__(self, quiet: bool, as_json: bool) -> None:
+        resume_garbage_collection()  # heavy modules are loaded
         self.as_json = as_json
         self.console = _console(quiet, sys.stderr if as_json else sys.stdout)
         self.errors = _console(quiet, sys.stderr)

@@ -45,7 +45,7 @@ Vector = tuple[Finite, Finite, Finite]
 class ConfigRecord(BaseModel):
     """Base of the configuration's records: frozen, strict about its keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)  # the whole holds its parts
 
     @model_validator(mode="before")
     @classmethod

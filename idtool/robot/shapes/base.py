@@ -7,7 +7,6 @@ on the moments of a density that is zero outside of it.
 from __future__ import annotations
 
 import math
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import Field, fields, replace
@@ -15,11 +14,11 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
 from idtool.robot.inequality import Piece
+from idtool.robot.rotation import rotation_from_rpy, rpy_from_rotation
 
 Vector = tuple[float, float, float]
 
@@ -99,15 +98,13 @@ class PosedShape(Shape):
     @property
     def rotation(self) -> Array:
         """The shape's axes as columns, shape (3, 3)."""
-        matrix: Array = Rotation.from_euler("xyz", self.rpy).as_matrix()
-        return matrix
+        return rotation_from_rpy(self.rpy)
 
     @override
     def transformed(self, R: Array, p: Array) -> Self:
-        with warnings.catch_warnings(action="ignore"):  # of gimbal lock: any of the angles that make R will do
-            axes = R @ self.rotation
-            axes[:, 0] *= np.sign(np.linalg.det(axes))  # after a reflection; the solid is symmetric in x
-            rpy = Rotation.from_matrix(axes).as_euler("xyz")
+        axes = R @ self.rotation
+        axes[:, 0] *= np.sign(np.linalg.det(axes))  # after a reflection; the solid is symmetric in x
+        rpy = rpy_from_rotation(axes)
         center = R @ self.center + p
         return replace(self, center=tuple(center.tolist()), rpy=tuple(rpy.tolist()))
 

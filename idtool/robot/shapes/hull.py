@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
@@ -17,6 +16,9 @@ from idtool.robot.convex import enclosing_planes, enclosing_points, polyhedron_c
 from idtool.robot.ellipsoid import minimum_volume_ellipsoid
 from idtool.robot.inequality import REALIZABLE, Piece, density_within
 from idtool.robot.shapes.base import Shape, Vector, product_form
+
+if TYPE_CHECKING:
+    from scipy.spatial import ConvexHull
 
 _MAX_FACES = 52  # of a solid that is simplified: no more than 100 corners
 _CONDITION_FACES = 24  # from whose planes the conditions are made: 276 pairs
@@ -72,6 +74,8 @@ class Hull(Shape):
 
     @cached_property
     def _hull(self) -> ConvexHull:
+        from scipy.spatial import ConvexHull
+
         return ConvexHull(np.array(self.vertices))
 
     @property

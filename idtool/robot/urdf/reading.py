@@ -1,26 +1,27 @@
 """`Robot`: links and joints of a URDF, checked.
 
-Read with yourdfpy from a tree that lxml has parsed strictly: no document type, no entities, no network.
+Read from a tree that lxml has parsed strictly: no document type, no entities, no network. Visuals, plugins and all
+else that is not needed are passed over, however unusual.
 """
 
 from __future__ import annotations
 
-import io
 import math
 import os
 import shlex
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yourdfpy
 from lxml import etree
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.common.input_files import read_error_text
 from idtool.common.provenance import InputFile, source_from_bytes
-from idtool.robot.inertia import PI_SIZE, from_mass_com_inertia
+from idtool.robot.inertia import from_mass_com_inertia, symmetric_matrix
+from idtool.robot.rotation import rotation_from_rpy
 
 _MAX_BYTES = 64 << 20
 _MAX_VALUE = 1e12  # SI, of any number that enters the equations; what is larger is taken for infinite
@@ -28,7 +29,8 @@ _CHILDREN = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _SUFFIXES = (".urdf", ".xml", "")
 _XACRO = "xacro"  # in the namespaces that xacro has had
-_MOMENTS = ("ixx", "iyy", "izz")  # for one that is missing the parser takes 1 kg·m²
+_INERTIA_ENTRIES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # as in `symmetric_matrix`
+_MOMENTS = ("ixx", "iyy", "izz")  # must be there; a product that is not is zero
 
 
 @dataclass(frozen=True)
@@ -160,20 +162,20 @@ def parse_robot(path: Path, data: bytes) -> Robot:
         raise ModelError(path, f"is larger than {_MAX_BYTES >> 20} MiB, too large for a URDF")
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise ModelError(path, "is in UTF-16; save it as UTF-8")
-    try:
-        with np.errstate(all="ignore"):  # numbers that are not finite are found below
-            text = io.BytesIO(_kinematic_urdf(path, data))
-            urdf = yourdfpy.URDF.load(text, build_scene_graph=False, load_meshes=False).robot
-            joints = [_joint(path, joint) for joint in urdf.joints]
-            links = {link.name: _parameters(path, link) for link in urdf.links}
-    except ModelError:
-        raise
-    except Exception as error:  # the parser has no error of its own for a missing tag or a word in place of a number
-        raise ModelError(path, f"is not a well-formed URDF ({type(error).__name__}: {error})") from None
-    if len(links) != len(urdf.links) or len({joint.name for joint in joints}) != len(joints):
+    root = _root_element(path, data)
+    link_elements = root.findall("link")
+    joint_elements = root.findall("joint")
+    for element in (*link_elements, *joint_elements):
+        _check_required(path, element)
+        if any("${" in text or "$(" in text for text in _attributes_read(element)):
+            raise ModelError(path, _expand(path))
+    with np.errstate(all="ignore"):  # numbers that are not finite are found by their results
+        joints = [_joint(path, element) for element in joint_elements]
+        links = {element.get("name", ""): _parameters(path, element) for element in link_elements}
+    if len(links) != len(link_elements) or len({joint.name for joint in joints}) != len(joints):
         raise ModelError(path, "two links or two joints have the same name; rename one")
-    root, ordered = _tree(path, links, joints)
-    return Robot(path, data, root, links, ordered, source_from_bytes("URDF", path, data))
+    root_link, ordered = _tree(path, links, joints)
+    return Robot(path, data, root_link, links, ordered, source_from_bytes("URDF", path, data))
 
 
 def parse_xml(path: Path, data: bytes) -> etree._Element:
@@ -201,8 +203,8 @@ def _syntax_error_text(error: etree.XMLSyntaxError) -> str:
     return f"{text} (line {line}, column {column})"
 
 
-def _kinematic_urdf(path: Path, data: bytes) -> bytes:
-    """The URDF with only what is read here, so that an unusual visual or plugin tag cannot stop the parser."""
+def _root_element(path: Path, data: bytes) -> etree._Element:
+    """The <robot> of a URDF's text."""
     try:
         root = parse_xml(path, data)
     except ModelError:
@@ -213,20 +215,16 @@ def _kinematic_urdf(path: Path, data: bytes) -> bytes:
         raise ModelError(path, _expand(path))
     if root.tag != "robot":
         raise ModelError(path, f"is not a URDF: its root element is <{root.tag}>, not <robot>")
-    reduced = etree.Element("robot", name=root.get("name", "robot"))
-    for element in root:
-        children = _CHILDREN.get(element.tag) if isinstance(element.tag, str) else None
-        if children is None:
-            continue
-        _check_required(path, element)
-        attributes = {str(name): str(value) for name, value in element.attrib.items()}
-        copy = etree.SubElement(reduced, element.tag, attributes)
-        copy.extend([child for child in element if child.tag in children])
-    for element in reduced.iter():
-        for value in element.attrib.values():
-            if "${" in value or "$(" in value:
-                raise ModelError(path, _expand(path))
-    return bytes(etree.tostring(reduced))
+    return root
+
+
+def _attributes_read(element: etree._Element) -> Iterator[str]:
+    """Values of all attributes of a link or joint that are read here."""
+    yield from map(str, element.attrib.values())
+    for child in element:
+        if child.tag in _CHILDREN[str(element.tag)]:
+            for descendant in child.iter():
+                yield from map(str, descendant.attrib.values())
 
 
 def _expand(path: Path) -> str:
@@ -245,8 +243,7 @@ def _check_required(path: Path, element: etree._Element) -> None:
         raise ModelError(where, "has a name with unprintable characters; rename it")
     if element.tag == "joint":
         for tag in ("parent", "child"):
-            end = element.find(tag)
-            if end is None or not end.get("link"):
+            if not _linked(element, tag):
                 raise ModelError(where, f"has no {tag} link; add <{tag} link=.../>")
     for inertia in element.iterfind("inertial/inertia"):
         missing = [name for name in _MOMENTS if name not in inertia.attrib]
@@ -254,67 +251,117 @@ def _check_required(path: Path, element: etree._Element) -> None:
             raise ModelError(where, f"its inertia lacks {', '.join(missing)}")
 
 
-def _parameters(path: Path, link: yourdfpy.Link) -> Array | None:
+def _parameters(path: Path, link: etree._Element) -> Array | None:
     """Inertia parameters of a link in its frame, shape (10,); None without an inertial."""
-    if link.inertial is None:
+    inertial = link.find("inertial")
+    if inertial is None:
         return None
-    inertial = link.inertial
-    mass = inertial.mass if inertial.mass is not None else 0.0
-    inertia = inertial.inertia if inertial.inertia is not None else np.zeros((3, 3))
-    origin = inertial.origin if inertial.origin is not None else np.eye(4)
-    R = origin[:3, :3]
-    pi = from_mass_com_inertia(mass, origin[:3, 3], R @ inertia @ R.T)
-    if pi.shape != (PI_SIZE,) or not (np.abs(pi) < _MAX_VALUE).all():
-        raise ModelError(path, f"link {link.name}: its inertial has a value that is not a finite number")
+    where = f"{path}: link {link.get('name')}"
+    R, p = _origin(where, inertial)
+    mass = _number(where, inertial.find("mass"), "value", 0.0)
+    inertia = inertial.find("inertia")
+    moments = [_number(where, inertia, name, 0.0) for name in _INERTIA_ENTRIES]
+    pi = from_mass_com_inertia(mass, p, R @ symmetric_matrix(moments) @ R.T)
+    if not (np.abs(pi) < _MAX_VALUE).all():
+        raise ModelError(where, "its inertial has a value that is not a finite number")
     return pi
 
 
-def _joint(path: Path, joint: yourdfpy.Joint) -> UrdfJoint:
-    where = f"{path}: joint {joint.name}"
-    if joint.type not in _TYPES:
-        raise ModelError(where, f"type {joint.type} is not supported; use one of {', '.join(_TYPES)}")
-    origin = joint.origin if joint.origin is not None else np.eye(4)
-    axis = np.asarray(joint.axis, dtype=float)
-    if axis.shape != (3,) or not (np.abs(origin) < _MAX_VALUE).all() or not (np.abs(axis) < _MAX_VALUE).all():
+def _joint(path: Path, joint: etree._Element) -> UrdfJoint:
+    name = joint.get("name", "")
+    where = f"{path}: joint {name}"
+    kind = joint.get("type")
+    if kind not in _TYPES:
+        raise ModelError(where, f"type {kind} is not supported; use one of {', '.join(_TYPES)}")
+    R, p = _origin(where, joint)
+    axis = _vector(where, joint.find("axis"), "xyz", "1 0 0")
+    if not (np.abs([*R, p, axis]) < _MAX_VALUE).all():
         raise ModelError(where, "its origin or axis does not consist of three finite numbers")
-    if joint.type != "fixed":
+    if kind != "fixed":
         if not np.linalg.norm(axis) > 0:
             raise ModelError(where, "its axis is zero; give its direction of motion")
         axis = axis / np.linalg.norm(axis)
 
-    dynamics = joint.dynamics
-    damping = float(dynamics.damping or 0.0) if dynamics else 0.0
-    friction = float(dynamics.friction or 0.0) if dynamics else 0.0
-    mimic = None
-    if joint.mimic:
-        mimic = Mimic(joint.mimic.joint, float(joint.mimic.multiplier), float(joint.mimic.offset))
+    dynamics = joint.find("dynamics")
+    damping = _number(where, dynamics, "damping", 0.0)
+    friction = _number(where, dynamics, "friction", 0.0)
+    mimic = _mimic(where, joint.find("mimic"))
     values = [damping, friction, *((mimic.multiplier, mimic.offset) if mimic else ())]
     if not (np.abs(values) < _MAX_VALUE).all():
         raise ModelError(where, "its dynamics or mimic has a value that is not a finite number")
 
-    limit = joint.limit
-    has_position_limits = limit and joint.type != "continuous"
+    limit = joint.find("limit")
+    position_limit = None if kind == "continuous" else limit
     return UrdfJoint(
-        name=joint.name,
-        kind=joint.type,
-        parent=joint.parent,
-        child=joint.child,
-        R=origin[:3, :3],
-        p=origin[:3, 3],
+        name=name,
+        kind=kind,
+        parent=_linked(joint, "parent"),
+        child=_linked(joint, "child"),
+        R=R,
+        p=p,
         axis=axis,
         damping=damping,
         friction=friction,
-        lower=_finite_or(-math.inf, limit.lower) if has_position_limits else -math.inf,
-        upper=_finite_or(math.inf, limit.upper) if has_position_limits else math.inf,
-        velocity=_finite_or(math.inf, limit.velocity) if limit else math.inf,
-        effort=_finite_or(math.inf, limit.effort) if limit else math.inf,
+        lower=_finite_or(-math.inf, _number(where, position_limit, "lower", -math.inf)),
+        upper=_finite_or(math.inf, _number(where, position_limit, "upper", math.inf)),
+        velocity=_finite_or(math.inf, _number(where, limit, "velocity", math.inf)),
+        effort=_finite_or(math.inf, _number(where, limit, "effort", math.inf)),
         mimic=mimic,
     )
 
 
-def _finite_or(default: float, value: float | None) -> float:
+def _linked(joint: etree._Element, tag: str) -> str:
+    """The link that a joint's parent or child names, empty where there is none."""
+    end = joint.find(tag)
+    return "" if end is None else str(end.get("link", ""))
+
+
+def _mimic(where: str, element: etree._Element | None) -> Mimic | None:
+    if element is None:
+        return None
+    multiplier = _number(where, element, "multiplier", 1.0)
+    return Mimic(element.get("joint", ""), multiplier, _number(where, element, "offset", 0.0))
+
+
+def _origin(where: str, element: etree._Element) -> tuple[Array, Array]:
+    """Rotation (3, 3) and position (3,) [m] of an element's origin; its numbers need not be finite."""
+    origin = element.find("origin")
+    rpy = _vector(where, origin, "rpy", "0 0 0")
+    R = rotation_from_rpy(rpy) if np.isfinite(rpy).all() else np.full((3, 3), np.nan)
+    return R, _vector(where, origin, "xyz", "0 0 0")
+
+
+def _vector(where: str, element: etree._Element | None, name: str, default: str) -> Array:
+    """Three numbers in an attribute, shape (3,); they need not be finite."""
+    text = default if element is None else element.get(name, default)
+    numbers = [_to_number(word) for word in text.split()]
+    if len(numbers) != 3 or None in numbers:
+        tag = "" if element is None else element.tag
+        raise ModelError(where, f"its {tag} {name} '{text[:40]}' should be three finite numbers")
+    return np.array(numbers, dtype=float)
+
+
+def _number(where: str, element: etree._Element | None, name: str, default: float) -> float:
+    """A number in an attribute, which need not be finite; the default where there is none."""
+    text = None if element is None else element.get(name)
+    if element is None or text is None:
+        return default
+    number = _to_number(text)
+    if number is None:
+        raise ModelError(where, f"its {element.tag} {name} '{text[:40]}' should be a finite number")
+    return number
+
+
+def _to_number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _finite_or(default: float, value: float) -> float:
     """The value if it is a finite number, else the default."""
-    return default if value is None or not math.isfinite(value) else float(value)
+    return value if math.isfinite(value) else default
 
 
 def _tree(path: Path, links: dict[str, Array | None], joints: list[UrdfJoint]) -> tuple[str, dict[str, UrdfJoint]]:

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 from xml.parsers import expat
-from xml.sax.saxutils import escape
 
 _OPENING = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")  # a > in a quoted attribute does not end the tag
 _ATTRIBUTE = re.compile(rb"""([^\s="'/<>]+)\s*=\s*("[^"]*"|'[^']*')""")
@@ -134,7 +133,9 @@ def _line_break(text: bytes, element: Element, deeper: bool) -> bytes:
 
 def quoted_attribute(value: str) -> bytes:
     """An attribute's value in quotes, in ASCII: right in whatever encoding the text is."""
-    return b'"' + escape(value, {'"': "&quot;"}).encode("ascii", "xmlcharrefreplace") + b'"'
+    for character, reference in (("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ('"', "&quot;")):
+        value = value.replace(character, reference)
+    return b'"' + value.encode("ascii", "xmlcharrefreplace") + b'"'
 
 
 def apply_edits(text: bytes, edits: Iterable[Edit]) -> bytes:

@@ -8,10 +8,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.ndimage import uniform_filter1d
+from numpy.fft import irfft, rfft, rfftfreq
 
 from idtool.common.arrays import Array, ComplexArray
+from idtool.common.fourier import fast_length
+from idtool.data.smoothing import moving_mean
 
 _MIN_SAMPLES = 64  # samples
 _MAX_LAG = 0.1  # s: more than any drive's filter, less than half a period of most excitations
@@ -88,7 +89,7 @@ def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
     x = np.linspace(-reach * dt, reach * dt, 2 * reach + 1)
     if len(q) < 2 * len(x):
         return _UNKNOWN
-    size = next_fast_len(len(q), real=True)
+    size = fast_length(len(q))
     q_spectrum = rfft(q, size)
 
     def smoothed(spectrum: ComplexArray, kernel: Array) -> Array:
@@ -134,8 +135,8 @@ def _coarse_lag_and_band(q: Array, v: Array, dt: float) -> tuple[float, float]:
     f = rfftfreq(n, dt)
     width = min(_SMOOTHING, len(f) // 2)
     in_phase = S * np.exp(2j * np.pi * f * lag)
-    power = uniform_filter1d(np.abs(D) ** 2, width) * uniform_filter1d(np.abs(V) ** 2, width)
-    is_coherent = np.abs(uniform_filter1d(in_phase, width)) ** 2 > _MIN_COHERENCE * power
+    power = moving_mean(np.abs(D) ** 2, width) * moving_mean(np.abs(V) ** 2, width)
+    is_coherent = np.abs(moving_mean(in_phase, width)) ** 2 > _MIN_COHERENCE * power
     weight = np.cumsum(np.where(is_coherent, np.abs(S), 0.0))
     if weight[-1] == 0:
         return lag, 0.0
