@@ -49,10 +49,8 @@ class LowPass:
         self.block = _BLOCK_OUTPUTS * stride
         self.kernel: Array = np.pad(kernel / kernel.sum(), -(len(kernel) // 2) % (self.block // 2))
         self.reach = len(self.kernel) // 2
-        taps = np.zeros((2 * self.reach + self.block, _BLOCK_OUTPUTS))
-        for i, column in enumerate(taps.T):
-            column[i * stride : i * stride + len(self.kernel)] = self.kernel
-        self._taps: Array = taps.reshape(-1, self.block, _BLOCK_OUTPUTS)
+        self._taps = self._taps_of(self.kernel)
+        self._weight_taps = self._taps_of(np.abs(self.kernel) / np.abs(self.kernel).sum())
         # Closer to an end than this, more than 2 % of the weight is missing and what comes out is not of the band.
         beyond = np.abs(np.cumsum(self.kernel)[: self.reach]) > _MAX_MISSING_WEIGHT
         self.edge = self.reach - int(np.argmax(beyond))
@@ -80,25 +78,33 @@ class LowPass:
         outputs = slice(-(-samples // self.stride))
         padding = (self.reach - before, self.reach - after + -samples % self.block)
         if not any(padding):
-            return self._convolve(x)[..., outputs]
+            return _convolve(x, self._taps)[..., outputs]
         padded = np.pad(x, [(0, 0)] * (x.ndim - 1) + [padding])
         ones = np.pad(np.ones(x.shape[-1]), [padding])
-        return self._convolve(padded)[..., outputs] / self._convolve(ones)[outputs]
+        return _convolve(padded, self._taps)[..., outputs] / _convolve(ones, self._taps)[outputs]
 
     def masked_share(self, mask: Mask, before: int, after: int) -> Array:
         """Share of each filtered sample's weight, by magnitude, that comes from the masked samples; shape (n,)."""
-        weights = np.abs(self.kernel)
-        shares = convolve(mask.astype(float), weights / weights.sum())[self.reach :]
-        return np.asarray(shares[before : len(mask) - after : self.stride])
+        samples = len(mask) - before - after
+        padded = np.pad(mask.astype(float), (self.reach - before, self.reach - after + -samples % self.block))
+        return _convolve(padded, self._weight_taps)[: -(-samples // self.stride)]
 
-    def _convolve(self, x: Array) -> Array:
-        """The kernel's sums over whole blocks: block i of the output is Σ_d (block i + d of x) · taps[d]."""
-        blocks = x.reshape(*x.shape[:-1], -1, self.block)
-        count = blocks.shape[-2] - len(self._taps) + 1
-        sums = blocks[..., :count, :] @ self._taps[0]
-        for d, taps in enumerate(self._taps[1:], start=1):
-            sums += blocks[..., d : d + count, :] @ taps
-        return np.asarray(sums.reshape(*x.shape[:-1], -1))
+    def _taps_of(self, kernel: Array) -> Array:
+        """A kernel's factors for the samples of each block that the outputs of one block depend on."""
+        taps = np.zeros((2 * self.reach + self.block, _BLOCK_OUTPUTS))
+        for i, column in enumerate(taps.T):
+            column[i * self.stride : i * self.stride + len(kernel)] = kernel
+        return taps.reshape(-1, self.block, _BLOCK_OUTPUTS)
+
+
+def _convolve(x: Array, taps: Array) -> Array:
+    """A kernel's sums over whole blocks: block i of the output is Σ_d (block i + d of x) · taps[d]."""
+    blocks = x.reshape(*x.shape[:-1], -1, taps.shape[1])
+    count = blocks.shape[-2] - len(taps) + 1
+    sums = blocks[..., :count, :] @ taps[0]
+    for d, own in enumerate(taps[1:], start=1):
+        sums += blocks[..., d : d + count, :] @ own
+    return np.asarray(sums.reshape(*x.shape[:-1], -1))
 
 
 def convolve(x: Array, kernel: Array) -> Array:

@@ -100,3 +100,15 @@ def test_redundancy_is_how_many_samples_are_worth_one(stride: int) -> None:
     y = low_pass(x, low_pass.reach, low_pass.reach)
     worth = y.mean(axis=1).var() * y.shape[1] / y.var()
     assert low_pass.redundancy == pytest.approx(worth, rel=0.1)
+
+
+@pytest.mark.parametrize("stride", [1, 5, 8])
+@pytest.mark.parametrize(("before", "samples", "after"), [(400, 1000, 400), (0, 777, 3), (0, 50, 0)])
+def test_share_of_masked_samples(rng: np.random.Generator, stride: int, before: int, samples: int, after: int) -> None:
+    """It is the sum of the kernel's magnitude at the masked samples; beyond the data, none is masked."""
+    low_pass = LowPass(25.0, 4, 1e-3, stride)
+    before, after = min(before, low_pass.reach), min(after, low_pass.reach)
+    mask = rng.random(before + samples + after) < 0.02
+    weights = np.abs(low_pass.kernel) / np.abs(low_pass.kernel).sum()
+    expected = np.convolve(mask, weights)[low_pass.reach :][before : len(mask) - after : stride]
+    np.testing.assert_allclose(low_pass.masked_share(mask, before, after), expected, atol=1e-12)
