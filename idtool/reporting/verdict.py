@@ -235,7 +235,7 @@ def problem_reasons(notices: Collection[Notice]) -> Iterator[VerdictReason]:
     """Reasons by problems of the logs or the model, which other rules do not judge."""
     for notice in notices:
         if notice.severity == "problem" and notice.code not in _ABOUT_RESULT:
-            text = f"{notice.sentence[:1].upper()}{notice.sentence[1:]}."
+            text = f"{notice.text[:1].upper()}{notice.text[1:]}."
             yield VerdictReason(about="data", level="do_not_use", figure=None, text=text)
 
 
