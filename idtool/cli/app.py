@@ -43,6 +43,7 @@ app = typer.Typer(
     "COMMAND --help shows the options of a command and an example. "
     "Exit codes: 0 done, 1 a bound was not met, 2 the input cannot be used.",
     add_completion=True,
+    context_settings={"help_option_names": ["--help", "-h"]},
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 def ellipsoids_command(
     urdf: UrdfArgument,
     config: ConfigOption = None,
-    out: Annotated[Path | None, typer.Option(help="YAML file to write; default: standard output.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="YAML file to write; default: standard output.")
+    ] = None,
     margin: Annotated[float, typer.Option(min=0.0, help="Fraction by which the semi-axes are enlarged.")] = 0.05,
     check: Annotated[
         bool,

@@ -56,14 +56,24 @@ def excite_command(
     config: ConfigOption = None,
     out: Annotated[
         Path | None,
-        typer.Option(help=f"{LOG_TO_WRITE}; default: <urdf stem>_idtool/excitation.mcap."),
+        typer.Option("--out", "-o", help=f"{LOG_TO_WRITE}; default: <urdf stem>_idtool/excitation.mcap."),
     ] = None,
     log: Annotated[
         list[Path] | None, typer.Option(help="An existing log that the trajectory complements; repeatable.")
     ] = None,
-    pattern: Annotated[str, typer.Option(help="fourier, bspline, or shell (the motion of the paper).")] = "fourier",
+    pattern: Annotated[
+        str,
+        typer.Option(
+            autocompletion=lambda: ["fourier", "bspline", "shell"],
+            help="fourier, bspline, or shell (the motion of the paper).",
+        ),
+    ] = "fourier",
     criterion: Annotated[
-        str, typer.Option(help="d: all parameters; a: RMS error; e: worst combination; condition: condition number.")
+        str,
+        typer.Option(
+            autocompletion=lambda: ["d", "a", "e", "condition"],
+            help="d: all parameters; a: RMS error; e: worst combination; condition: condition number.",
+        ),
     ] = "d",
     favour: Annotated[
         list[str] | None,

@@ -32,7 +32,11 @@ def export_command(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="File to write; default: OUT/mujoco.xml, OUT/drake.urdf, or FILE with _patched in its name."),
+        typer.Option(
+            "--out",
+            "-o",
+            help="File to write; default: OUT/mujoco.xml, OUT/drake.urdf, or FILE with _patched in its name.",
+        ),
     ] = None,
     rotor_bodies: Annotated[
         bool,

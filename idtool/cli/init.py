@@ -17,9 +17,11 @@ def init_command(
     logs: LogsArgument,
     config: Annotated[
         Path | None,
-        typer.Option("--config", help="Known keys, such as controller gains; they are kept unchanged."),
+        typer.Option("--config", "-c", help="Known keys, such as controller gains; they are kept unchanged."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="File to write; default: <urdf stem>.yaml beside the URDF.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="File to write; default: <urdf stem>.yaml beside the URDF.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,

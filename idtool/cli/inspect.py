@@ -20,7 +20,7 @@ def inspect_command(
         ),
     ],
     config: Annotated[
-        Path | None, typer.Option("--config", help="Configuration, for reading the log, and for its sensors.")
+        Path | None, typer.Option("--config", "-c", help="Configuration, for reading the log, and for its sensors.")
     ] = None,
     urdf: Annotated[
         Path | None,

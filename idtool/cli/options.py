@@ -83,6 +83,14 @@ def _check_rerun(file: Path | None) -> Path | None:
     return file
 
 
+def _complete_effects(incomplete: str) -> list[str]:
+    """Lists of effects that begin with what was typed: those that are complete, and one more."""
+    from idtool.dynamics.effects import effect_types
+
+    complete, comma, _ = incomplete.rpartition(",")
+    return [f"{complete}{comma}{effect}" for effect in effect_types()]
+
+
 UrdfArgument = Annotated[
     Path, typer.Argument(metavar="URDF", help="The robot's URDF.", show_default=False, callback=resolve_unnamed)
 ]
@@ -99,9 +107,11 @@ LogsArgument = Annotated[
     ),
 ]
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", help="Configuration (YAML); default: <urdf stem>.yaml beside the URDF.")
+    Path | None, typer.Option("--config", "-c", help="Configuration (YAML); default: <urdf stem>.yaml beside the URDF.")
 ]
-OutOption = Annotated[Path | None, typer.Option("--out", help="Folder to write to; default: <urdf stem>_idtool/.")]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", "-o", help="Folder to write to; default: <urdf stem>_idtool/.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 HoldoutOption = Annotated[float, typer.Option(help="Fraction at the end of every log that is kept for validation.")]
 ValidateOption = Annotated[
@@ -137,6 +147,7 @@ JobsOption = Annotated[
     int | None,
     typer.Option(
         "--jobs",
+        "-j",
         min=1,
         help="Largest number of processes; default: one for each processor core.",
         show_default=False,
@@ -156,7 +167,7 @@ ClusterOption = Annotated[
 SkipBadOption = Annotated[
     bool, typer.Option("--skip-bad", help="Leave out logs that cannot be used; a warning names each.")
 ]
-QuietOption = Annotated[bool, typer.Option("--quiet", help="Print only errors.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only errors.")]
 MaxRmsOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -176,7 +187,10 @@ InertiaOption = Annotated[
         show_default=False,
     ),
 ]
-EffectsOption = Annotated[str | None, typer.Option(help="Effects to search for, separated by commas; default: all.")]
+EffectsOption = Annotated[
+    str | None,
+    typer.Option(help="Effects to search for, separated by commas; default: all.", autocompletion=_complete_effects),
+]
 MaxEffectsOption = Annotated[int, typer.Option(min=1, help="Largest number of effects to add.")]
 BudgetOption = Annotated[
     float | None,

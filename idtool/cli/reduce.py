@@ -27,6 +27,7 @@ ReductionOption = Annotated[
     Path,
     typer.Option(
         "--out",
+        "-o",
         metavar="FILE.idr",
         help="File to write; its name ends in .idr.",
         show_default=False,

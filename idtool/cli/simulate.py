@@ -38,7 +38,7 @@ LogArgument = Annotated[
 ]
 LogOutOption = Annotated[
     Path | None,
-    typer.Option(help=f"{LOG_TO_WRITE}; default: <urdf stem>_idtool/simulated.mcap."),
+    typer.Option("--out", "-o", help=f"{LOG_TO_WRITE}; default: <urdf stem>_idtool/simulated.mcap."),
 ]
 WindowOption = Annotated[
     float | None,
