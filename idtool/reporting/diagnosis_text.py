@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 UNKNOWN = "unknown"
 RESIDUAL_MAPS = "the residual maps in diagnosis.html"  # which the page links to
 
+_ONLY_BY_RECORDING = ("dropped_samples", "time_jitter")  # faults that cannot be corrected in a log
+
 
 def effect_name(effect: str) -> str:
     """An effect's id in plain words."""
@@ -218,7 +220,7 @@ def next_steps(report: DiagnosisReport, folder: Path | None = None) -> list[str]
     """
     steps = []
     out = Path("OUT") if folder is None else folder
-    if any(not fault.undone for fault in report.data_faults):
+    if any(not fault.undone and fault.fault not in _ONLY_BY_RECORDING for fault in report.data_faults):
         steps.append(
             "First correct the data, or describe them correctly in the configuration, and then diagnose again."
         )

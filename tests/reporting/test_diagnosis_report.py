@@ -17,6 +17,7 @@ from commands import JOINTS, LEG, files, idtool, strict_json
 from diagnoses import BEHIND, STRIBECK, candidate, diagnosis_of, faulty, fits, level, step_of, unknown_of
 from rich.console import Console
 
+from idtool.common.notice import Notice
 from idtool.diagnosis.diagnose import _verdict
 from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, ErrorSummary
 from idtool.diagnosis.words import distinguishing_experiment, fitted_along_sentence, step_sentence, with_doubts
@@ -298,6 +299,12 @@ def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
     assert report["summary"].endswith(
         "% of the gap is closed. Doubtful: a payload on thigh_link; the notices give the reasons."
     )
+
+
+def test_nobody_is_told_to_correct_what_only_a_new_log_can(found: Diagnosis) -> None:
+    jitter = Notice("time_jitter", "warning", None, "the time stamps are uneven")
+    (text,) = report_of(replace(found, faults=(jitter,), steps=(step_of(pair=False, alternatives=()),)))["next"]
+    assert not text.startswith("First correct")
 
 
 def test_what_to_do_next(found: Diagnosis) -> None:
