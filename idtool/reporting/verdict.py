@@ -192,18 +192,17 @@ def bodies_reason(bodies: Mapping[str, BodyReport], notices: Collection[Notice])
     if unrealizable:
         text = f"No body has the parameters of {join_names(unrealizable)}."
         return VerdictReason(about="bodies", level="do_not_use", figure=ratio, text=text)
+    doubts = [notice for notice in notices if notice.code in _IMPLAUSIBLE]
+    if doubts:
+        text = f"Masses or shapes are not plausible: {doubts[0].message}."
+        return VerdictReason(about="bodies", level="torque_only", figure=ratio, text=text)
     text = f"All bodies are realizable; their mass is {number(mass)} kg, {number(prior_mass)} kg in the URDF"
     changes = {name: body.mass / body.prior[0] for name, body in bodies.items() if body.prior[0] > 0}
     if changes:
         name = max(changes, key=lambda name: abs(math.log(max(changes[name], 1e-9))))
-        text += (
-            f", and that of {name} changes most, from {number(bodies[name].prior[0])} to {number(bodies[name].mass)} kg"
-        )
-    doubts = [notice for notice in notices if notice.code in _IMPLAUSIBLE]
-    level: VerdictLevel = "torque_only" if doubts else "good"
-    if doubts:
-        text += f". That is not plausible: {doubts[0].message}"
-    return VerdictReason(about="bodies", level=level, figure=ratio, text=f"{text}.")
+        before, after = number(bodies[name].prior[0]), number(bodies[name].mass)
+        text += f", and that of {name} changes most, from {before} to {after} kg"
+    return VerdictReason(about="bodies", level="good", figure=ratio, text=f"{text}.")
 
 
 def data_reason(base: BaseParametersResult | None, solver: SolverReport, notices: Collection[Notice]) -> VerdictReason:
