@@ -153,7 +153,7 @@ def test_of_logs_of_both_kinds_those_with_a_command_are_simulated(discs: Build) 
 
 
 def test_of_a_long_log_windows_are_simulated_that_spread_over_it(discs: Build, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two minutes of two logs, 150 and 50 s long; what the simulation gave is what is compared."""
+    """A minute of two logs, 150 and 50 s long; what the simulation gave is what is compared."""
     seen: dict[str, list[slice]] = {}
 
     def nearly(
@@ -167,20 +167,20 @@ def test_of_a_long_log_windows_are_simulated_that_spread_over_it(discs: Build, m
     monkeypatch.setattr(module, "simulate", nearly)
     experiment = discs(swinging(150), swinging(50))
     found = evaluate_rollouts(experiment, {"model": experiment.equation.prior}, True, quietly)
-    assert (found.windows, found.available) == (120, 200)
+    assert (found.windows, found.available) == (60, 200)
     starts = {name: np.array([part.start for part in windows]) / RATE for name, windows in seen.items()}
-    assert [len(t) for t in starts.values()] == [90, 30]
+    assert [len(t) for t in starts.values()] == [45, 15]
     for t, seconds in zip(starts.values(), (150, 50), strict=True):
-        assert t[0] < 2
-        assert t[-1] > seconds - 3
-        assert set(np.round(np.diff(t))) <= {1, 2}
+        assert t[0] < 3
+        assert t[-1] > seconds - 5
+        assert set(np.round(np.diff(t))) <= {3, 4}
     model = found.errors["model"]
     assert model.rmse(("j1", "j2"), "position") == pytest.approx({"j1": 0.1, "j2": 0.1, "overall": 0.1})
     assert model.rmse(("j1", "j2"), "velocity")["overall"] == pytest.approx(0.2)
     assert found.diverged == {"model": 2}
     drawn = found.traces[0].curves
     there = np.isfinite(drawn["model"]) & np.isfinite(drawn["measured"])
-    assert there.mean() > 0.5
+    assert there.mean() > 0.25
     np.testing.assert_allclose((drawn["model"] - drawn["measured"])[there], 0.1, atol=1e-9)
 
 
