@@ -12,7 +12,7 @@ from idtool.estimation.dataset.experiment import Experiment, Progress
 
 STATE_BINS = 60
 TIME_BINS = 120
-_MAX_NUMBERS = 4e6  # that are drawn
+_MAX_NUMBERS = 2e6  # that are drawn
 _MIN_SAMPLES = 3  # in a bin that is drawn
 _LOW_SPEED = 0.1  # quantile of the speed, below which bins of velocity have one width
 
