@@ -99,6 +99,8 @@ class Page(HTMLParser):
             texts = self.scripts if inside == "script" else self.styles
             texts[-1] += data
             return
+        if "nav" in self.open:  # the headings once more
+            return
         self.text += data
         if {"th", "td"} & set(self.open):
             self.rows[-1][-1] += data

@@ -129,11 +129,12 @@ SHOWN = """return [...document.querySelectorAll(".log[open] [data-figure]")].map
   about: plot.getAttribute("aria-label"), range: plot._fullLayout.xaxis.range,
   curves: plot.data.filter((trace) => trace.visible).map((trace) => trace.name),
 }));"""
-TICK = """const [box] = document.querySelectorAll("[data-curve]");
+TORQUE = '[aria-label^="Measured and predicted torque"]'
+TICK = f"""const box = document.querySelector('{TORQUE}').closest("section").querySelector("[data-curve]");
 box.checked = arguments[0]; box.dispatchEvent(new Event("change"));"""
-ZOOM = """const [range] = arguments; // as the mouse does
-const change = range ? { "xaxis.range[0]": range[0], "xaxis.range[1]": range[1] } : { "xaxis.autorange": true };
-return Plotly.relayout(document.querySelector("[data-figure]"), change).then(() => null);"""
+ZOOM = f"""const [range] = arguments; // as the mouse does
+const change = range ? {{ "xaxis.range[0]": range[0], "xaxis.range[1]": range[1] }} : {{ "xaxis.autorange": true }};
+return Plotly.relayout(document.querySelector('{TORQUE}'), change).then(() => null);"""
 
 
 def test_the_prior_is_drawn_where_asked_and_a_log_is_zoomed_as_one(pages: Path, opened: Browser) -> None:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import marshal
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from types import CodeType
@@ -99,7 +99,14 @@ class TemplateSection(NamedTuple):
     figures: Sequence[Figure] = ()
 
 
-def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str, Any], **context: object) -> str:
+def render(
+    title: str,
+    sections: Sections,
+    scripts: list[str],
+    data: Mapping[str, Any],
+    folded: Collection[str] = (),
+    **context: object,
+) -> str:
     """The page.
 
     Parameters
@@ -112,6 +119,8 @@ def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str
         Scripts under `templates/` that draw what no `Figure` holds, such as bodies in 3D.
     data
         Data of these scripts, for JSON; NaN is not allowed.
+    folded
+        Headings of the sections that show nothing else until they are opened.
     context
         Variables of the templates, beside ``data``.
     """
@@ -133,7 +142,13 @@ def render(title: str, sections: Sections, scripts: list[str], data: Mapping[str
     page = environment.get_template("page.html")
     page_sections = [_template_section(*section) if isinstance(section, tuple) else section for section in sections]
     html = page.render(
-        title=title, sections=page_sections, scripts=scripts, data=data, plotly=compressed_plotly(), **context
+        title=title,
+        sections=page_sections,
+        scripts=scripts,
+        data=data,
+        folded=folded,
+        plotly=compressed_plotly(),
+        **context,
     )
     return html.encode(errors="replace").decode()  # a path need not be text
 

@@ -45,31 +45,38 @@ _ERRORS_BY_KIND = ErrorsByKindSection()
 _WHOLE_ROBOT = WholeRobotSection()
 _WRENCH_SENSORS = WrenchSensorsSection()
 _RESIDUALS = ("Residual by state, time and frequency", "residuals.html")
+_BODIES_IN_3D = ("Bodies in 3D", "bodies_3d.html")
+_SOLVER = ("Solver", "solver.html")
+_ORIGIN = ("Origin of this report", "origin.html")
 _MODEL_NAMES = ("prior", "identified")
 _MODELS_TEXT = "the original URDF and of the identified model"
 _SECTIONS = (
     ("Verdict", "verdict.html"),
+    ROBOT,
     ("Findings", "fit_findings.html"),
     TorqueErrorsSection(),
     _ERRORS_BY_KIND,
     _FLEET,
+    SIMULATION,
     ("Measured and predicted torque", "torques.html"),
     _RESIDUALS,
-    SIMULATION,
+    BodiesSection(),
+    _WHOLE_ROBOT,
     FrictionSection(),
     _EFFECTS,
-    _WHOLE_ROBOT,
     _WRENCH_SENSORS,
-    BodiesSection(),
-    _PRIOR,
+    _BODIES_IN_3D,
     SOURCES,
-    BASE_PARAMETERS,
     REPEATABILITY,
+    BASE_PARAMETERS,
     BIAS,
-    ROBOT,
-    ("Bodies in 3D", "bodies_3d.html"),
-    ("Solver", "solver.html"),
-    ("Origin of this report", "origin.html"),
+    _PRIOR,
+    _SOLVER,
+    _ORIGIN,
+)
+_FOLDED = (
+    *(section[0] for section in (_RESIDUALS, _BODIES_IN_3D, SOURCES, _SOLVER, _ORIGIN)),
+    *(section.title for section in (BASE_PARAMETERS, BIAS, _PRIOR)),
 )
 
 
@@ -118,6 +125,7 @@ def fit_page(
         sections,
         ["solids.js", "robot.js", "bodies.js", "trust.js"],
         {**views, **robot},
+        folded=_FOLDED,
         report=report,
         verdict_text=LEVEL_TEXTS[report.verdict],
         groups=rows_by_unit(units),

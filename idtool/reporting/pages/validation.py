@@ -22,12 +22,12 @@ from idtool.robot.model import RobotModel
 _ERRORS_BY_KIND = ModelErrorsByKindSection()
 _SECTIONS = (
     ("Verdict", "verdict.html"),
+    ROBOT,
     ("Findings", "validation_findings.html"),
     ModelErrorsSection(),
     _ERRORS_BY_KIND,
     ("Measured and predicted torque", "torques.html"),
     SIMULATION,
-    ROBOT,
     ("Origin of this report", "origin.html"),
 )
 
@@ -66,6 +66,7 @@ def validation_page(
         with_robot(with_simulation(sections, report.simulation), robot),
         ["solids.js", "robot.js"],
         robot,
+        folded=("Origin of this report",),
         report=report,
         verdict_text=LEVEL_TEXTS[report.verdict],
         groups=rows_by_unit(units),
