@@ -1,7 +1,7 @@
 """Verdict on a model: good, good for torque only, or not to be used. The worst of what a few stated rules allow.
 
 ==========  ==================================================================================================
-torque      Do not use: an error of more than 30 % of the torque's spread, or more than the URDF's; unless it is
+torque      Do not use: an error above 30 % of the torque's standard deviation, or above the URDF's; unless it is
             noise, up to 1.5 times the noise floor. Torque only: no data were held out.
 motion      Good: a rollout can be trusted for 0.5 s or longer. It can be trusted as long as its error is at most
             a quarter of how far the robot has moved. Under a controller: the error is at most half of that of a
@@ -32,7 +32,7 @@ LEVEL_TEXTS: Mapping[VerdictLevel, str] = {
     "do_not_use": "do not use",
 }
 
-_MAX_TORQUE_SHARE = 0.3  # of the torque's spread
+_MAX_TORQUE_SHARE = 0.3  # of the torque's standard deviation
 _NOISE = 1.5  # times the noise floor, up to which an error is noise
 _NO_WORSE = 1.001  # ratio of two errors, up to which one is no worse than the other
 _TRUSTED_SHARE = 0.25  # of how far a robot has moved, that a rollout may be off
@@ -64,7 +64,7 @@ def torque_reason(
     rms
         Error of the model, by joint and ``overall`` [N·m or N].
     nrms
-        The error over the spread of the torque, by joint.
+        The error over the standard deviation of the torque, by joint.
     units
         Unit of each joint's torque.
     prior
@@ -77,13 +77,13 @@ def torque_reason(
         True if the model was fitted to the data, so that they say little about prediction.
     """
     error = rms["overall"] or 0.0
-    share = _share_of_spread(rms, nrms)
+    share = _share_of_torque(rms, nrms)
     unit = common_unit(units)
     floor = noise_floor["overall"] if noise_floor else None
     is_noise = floor is not None and error <= _NOISE * floor
     size = f"{number(error)} {unit}"
     if share is not None:
-        size = f"{percent(share)} of the torque's spread, {size}"
+        size = f"{percent(share)} of the torque's standard deviation, {size}"
     text = f"{where[:1].upper()}{where[1:]}, the torque error is {size} RMS"
     others = []
     if floor is not None:
@@ -101,15 +101,15 @@ def torque_reason(
     return VerdictReason(about="torque", level=level, figure=share, text=f"{text}.")
 
 
-def _share_of_spread(rms: Mapping[str, float | None], nrms: Mapping[str, float | None]) -> float | None:
-    """Error over the spread of the torque, of all joints together; None if it is not known of any."""
-    squared_error = squared_spread = 0.0
+def _share_of_torque(rms: Mapping[str, float | None], nrms: Mapping[str, float | None]) -> float | None:
+    """Error over the standard deviation of the torque, of all joints together; None if it is not known of any."""
+    squared_error = variance = 0.0
     for joint, share in nrms.items():
         error = rms[joint]
         if error is not None and share:
             squared_error += error**2
-            squared_spread += (error / share) ** 2
-    return math.sqrt(squared_error / squared_spread) if squared_spread else None
+            variance += (error / share) ** 2
+    return math.sqrt(squared_error / variance) if variance else None
 
 
 def motion_reason(simulation: Simulation | None, why_not: str) -> VerdictReason:
