@@ -18,7 +18,7 @@ class VerdictReason(Record):
     about: Literal["torque", "motion", "bodies", "data"] = field("What was judged.")
     level: VerdictLevel = field("Best verdict that it allows.")
     figure: float | None = field(
-        "`torque`: torque error over the torque's standard deviation; `motion`: time for which a rollout can be trusted "
+        "`torque`: error over the torque's standard deviation; `motion`: time for which a rollout can be trusted "
         "[s], in closed loop the position error over that of a robot that follows its command; `bodies`: total mass "
         "over that of the URDF; `data`: share of the base parameters that the logs determine. Null: not known."
     )
