@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import SolverError
@@ -123,6 +122,8 @@ def _least(problem: Problem, start: Array, row: Array, level: float) -> float:
 
 def _components(problem: Problem) -> list[Indices]:
     """Indices in z of coefficients that are coupled with each other only: the legs of a robot on a stand, for one."""
+    from scipy.sparse.csgraph import connected_components
+
     size = np.linalg.norm(problem.A, axis=0)
     coupled = np.abs(problem.A.T @ problem.A) > _COUPLED * np.outer(size, size)
     for row in problem.E:
