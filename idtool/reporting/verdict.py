@@ -158,16 +158,16 @@ def _closed_loop_reason(simulation: Simulation, unit: str) -> VerdictReason:
     share = error / follows if follows else math.inf
     level: VerdictLevel = "good" if share <= _TRUSTED_CLOSED_LOOP else "torque_only"
     text = (
-        f"Under its controller, the simulated robot is {number(error)} {unit} off; one that follows its command "
-        f"exactly would be {number(follows)} {unit} off."
+        f"Under its controller, the simulated robot is {number(error)} {unit} from the measured position; a robot that "
+        f"followed its command exactly would be {number(follows)} {unit} from it."
     )
     return VerdictReason(about="motion", level=level, figure=share, text=text)
 
 
 def _off(error: Mapping[str, float | None], stands: Mapping[str, float | None], unit: str) -> str:
     """How far a rollout is off, and how far the robot has moved."""
-    moved = f"where the robot has moved by {number(stands['overall'])} {unit}"
-    return f"{number(error['overall'])} {unit} off, {moved}"
+    moved = f"which has moved by {number(stands['overall'])} {unit}"
+    return f"{number(error['overall'])} {unit} from the measured position, {moved}"
 
 
 def _seconds(time: float) -> str:
