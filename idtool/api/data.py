@@ -189,7 +189,7 @@ def _prepare(
     transform: Callable[[JointLog], JointLog] = lambda log: log,
 ) -> Experiment:
     """Model and logs, which are read here; with ``skip_bad``, those that can be used."""
-    if not skip_bad:
+    if not skip_bad or not (logs or validate):
         training = [_record(log, model) for log in logs]
         validation = [_record(log, model) for log in validate]
         return prepare(model.robot, model.settings, training, validation, holdout, transform)
@@ -367,10 +367,11 @@ def reduction_path(log: LogSource) -> Path | None:
 def _with_excerpts(logs: Sequence[LogSource], excerpts: Mapping[Path, Sequence[JointLog]]) -> list[LogSource]:
     """Logs with the excerpts of a reduction in place of its file."""
     replaced: list[LogSource] = []
+    remaining = dict(excerpts)  # of a file that is given twice, once
     for log in logs:
         path = _path_of(log)
         if path in excerpts:
-            replaced += [Log.from_record(excerpt) for excerpt in excerpts[path]]
+            replaced += [Log.from_record(excerpt) for excerpt in remaining.pop(path, ())]
         else:
             replaced.append(log)
     return replaced

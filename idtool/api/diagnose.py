@@ -25,7 +25,7 @@ from idtool.api.results import Progress, Recordable, SavableResult, ignore_progr
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import printable
 from idtool.common.outputs import as_json, as_yaml
-from idtool.common.urls import log_path
+from idtool.common.urls import log_path, without_secrets
 from idtool.data.logs import read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.pairing import check_joints, paired_paths
@@ -204,7 +204,7 @@ def diagnose(
         most=most,
         budget=budget,
         assume=assume,
-        against=[str(_path(log)) for log in as_list(against)] or (),
+        against=[without_secrets(str(_path(log))) for log in as_list(against)] or (),
         simulation=simulation,
         cluster=cluster,
         skip_bad=skip_bad,

@@ -10,8 +10,6 @@ import numpy as np
 from idtool.data.logs import JointLog
 from idtool.data.logs.log import Channel
 
-_CHANNEL_MARGIN = 0.5  # s: values of a channel before and after a window, between which it is interpolated
-
 
 def excerpt_of(log: JointLog, duration: float, window: float) -> JointLog:
     """Windows of a log, spread evenly over it, as a log with a segment for each.
@@ -28,9 +26,9 @@ def excerpt_of(log: JointLog, duration: float, window: float) -> JointLog:
     samples = sum(segment.stop - segment.start for segment in log.segments)
     length = max(round(window / log.dt), 2)
     wanted = max(round(duration / log.dt), length)
-    windows = list(log.segments)
-    if wanted < samples:
-        windows = evenly_chosen(list(spread_windows(log.segments, wanted / samples, length)), wanted)
+    if wanted >= samples:
+        return log
+    windows = evenly_chosen(list(spread_windows(log.segments, wanted / samples, length)), wanted)
     kept = np.concatenate([np.arange(part.start, part.stop) for part in windows])
     stops = np.cumsum([part.stop - part.start for part in windows]).tolist()
     return replace(
@@ -76,13 +74,17 @@ def evenly_chosen(windows: Sequence[slice], wanted: int) -> list[slice]:
 
 
 def _channels_within(channels: Mapping[str, Channel], intervals: Sequence[tuple[float, float]]) -> dict[str, Channel]:
-    """Channels with their values in and next to some intervals of time [s]."""
+    """Channels with their values in some intervals of time [s], and the last before and the first after each.
+
+    A flag keeps a value until the next, however late that is.
+    """
     kept = {}
     for name, channel in channels.items():
         is_within = np.zeros(len(channel.t), dtype=bool)
         for first, last in intervals:
-            margin = max(_CHANNEL_MARGIN, 2 * channel.step)
-            is_within |= (channel.t >= first - margin) & (channel.t <= last + margin)
+            start = int(np.searchsorted(channel.t, first, side="right")) - 1
+            stop = int(np.searchsorted(channel.t, last)) + 1
+            is_within[max(start, 0) : stop] = True
         kept[name] = Channel(channel.t[is_within], channel.x[is_within])
     return kept
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -33,14 +34,14 @@ def excerpts_of(reductions: Sequence[tuple[Path, SavedReduction]], config: Confi
         If one has no excerpts, or was made with other settings for reading logs.
     """
     found: list[tuple[Path, JointLog]] = []
-    for path, reduction in reductions:
+    for path, reduction in dict(reductions).items():  # one that is given twice is used once
         _check_reading(path, reduction, config)
         for log in reduction.logs:
             if log.excerpt is None:
                 raise LogError(path, f"has no samples of {log.name}; make it again with idtool reduce")
             found.append((path, log.excerpt))
     seconds = sum(duration_of(excerpt) for _, excerpt in found)
-    step = max(round(seconds / _MAX_SECONDS), 1)
+    step = max(math.ceil(seconds / _MAX_SECONDS), 1)
     chosen: dict[Path, tuple[JointLog, ...]] = {path: () for path, _ in reductions}
     for path, excerpt in found[::step]:
         chosen[path] += (excerpt,)
@@ -72,7 +73,7 @@ def excerpt_notices(
 def _check_reading(path: Path, reduction: SavedReduction, config: Config) -> None:
     """Refuse a reduction of logs that were read with other settings."""
     settings = config.model_dump(mode="json", include={"log"})
-    difference = first_difference({"log": reduction.settings["log"]}, settings)
+    difference = first_difference({"log": reduction.settings.get("log")}, settings)
     if difference is not None:
         key, _, _ = difference
         raise LogError(path, f"was made with another {key}; make it again with idtool reduce")

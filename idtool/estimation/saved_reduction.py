@@ -166,7 +166,8 @@ def _write_arrays(
     shapes = {}
     with archive.open(member_name, "w", force_zip64=True) as member:
         for name, array in arrays:
-            member.write(np.ascontiguousarray(array, _NUMBER).data.cast("B"))
+            if array.size:
+                member.write(np.ascontiguousarray(array, _NUMBER).data.cast("B"))
             shapes[name] = array.shape
     return shapes
 
@@ -220,6 +221,7 @@ def _excerpt_header(excerpt: JointLog) -> dict[str, Any]:
         "notices": [asdict(notice) for notice in excerpt.notices],
         "sources": [asdict(file) for file in excerpt.sources],
         "preset": excerpt.preset,
+        "is_excerpt": excerpt.is_excerpt,
     }
 
 
@@ -353,7 +355,7 @@ def _excerpt(number: int, log: Mapping[str, Any], arrays: Mapping[str, Array]) -
         channels=channels,
         unknown_torque=tuple(log["unknown_torque"]),
         preset=header["preset"],
-        is_excerpt=True,
+        is_excerpt=bool(header["is_excerpt"]),
     )
 
 

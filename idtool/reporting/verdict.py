@@ -123,7 +123,7 @@ def motion_reason(simulation: Simulation | None, why_not: str) -> VerdictReason:
         Why it was not simulated, a clause.
     """
     if simulation is None:
-        text = f"Whether it predicts motion is not known: {why_not}."
+        text = f"Whether the model predicts motion is not known: {why_not}."
         return VerdictReason(about="motion", level="torque_only", figure=None, text=text)
     unit = common_unit(simulation.units)
     if simulation.kind == "closed_loop":
@@ -190,7 +190,7 @@ def bodies_reason(bodies: Mapping[str, BodyReport], notices: Collection[Notice])
     ratio = mass / prior_mass if prior_mass > 0 else None
     unrealizable = [name for name, body in bodies.items() if not body.realizable]
     if unrealizable:
-        text = f"No body has the parameters of {join_names(unrealizable)}."
+        text = f"No physical body can have the parameters identified for {join_names(unrealizable)}."
         return VerdictReason(about="bodies", level="do_not_use", figure=ratio, text=text)
     doubts = [notice for notice in notices if notice.code in _IMPLAUSIBLE]
     if doubts:
@@ -220,12 +220,13 @@ def data_reason(base: BaseParametersResult | None, solver: SolverReport, notices
     figure = base.determined / base.structural if base and base.structural else None
     for reason in problem_reasons(notices):
         return reason
-    if abs(solver.duality_gap) > _MAX_GAP:
-        text = f"The solver did not find the optimum: the cost may exceed the minimum by {percent(solver.duality_gap)}."
+    if not abs(solver.duality_gap) <= _MAX_GAP:
+        gap = percent(abs(solver.duality_gap))
+        text = f"The solver did not find the optimum: the cost may exceed the minimum by {gap}."
         return VerdictReason(about="data", level="do_not_use", figure=figure, text=text)
     text = "What the logs determine was not computed (--quick)"
     if base:
-        which = "all" if base.determined == base.structural else f"{base.determined} of"
+        which = "all" if base.determined == base.structural else f"{base.determined} of the"
         text = f"The logs determine {which} {base.structural} combinations of parameters that the torque depends on"
     return VerdictReason(about="data", level="good", figure=figure, text=f"{text}.")
 
@@ -234,11 +235,4 @@ def problem_reasons(notices: Collection[Notice]) -> Iterator[VerdictReason]:
     """Reasons by problems of the logs or the model, which other rules do not judge."""
     for notice in notices:
         if notice.severity == "problem" and notice.code not in _ABOUT_RESULT:
-            text = f"{notice.text[:1].upper()}{notice.text[1:]}."
-            yield VerdictReason(about="data", level="do_not_use", figure=None, text=text)
-
-
-def unmet(reasons: Sequence[VerdictReason]) -> Iterator[VerdictReason]:
-    """The reasons that keep a model from being good, the worst first."""
-    limiting = [reason for reason in reasons if reason.level != "good"]
-    yield from sorted(limiting, key=lambda reason: -LEVELS.index(reason.level))
+            yield VerdictReason(about="data", level="do_not_use", figure=None, text=f"{notice.text}.")

@@ -71,3 +71,20 @@ def test_time_between_the_windows_is_not_lost(log: JointLog) -> None:
 def test_memory_of_a_time(log: JointLog) -> None:
     arrays = [log.t, *log.signals.values()]
     assert seconds_within(log, sum(array.nbytes for array in arrays)) == pytest.approx(len(log) * log.dt)
+
+
+def test_a_flag_keeps_its_value_however_long_ago_it_was_set(log: JointLog) -> None:
+    """It is published when it changes."""
+    flag = Channel(np.array([0.0, 0.01, 4.0, 9.9]), np.array([0.0, 1.0, 0.0, 1.0]))
+    silent = Channel(np.zeros(0), np.zeros(0))
+    with_flag = replace(log, channels={"contact_foot": flag, "contact_other": silent})
+    excerpt = excerpt_of(with_flag, 2.0, 0.5)
+    kept = excerpt.channels["contact_foot"]
+    np.testing.assert_array_equal(kept.is_set(excerpt.t), flag.is_set(excerpt.t))
+    assert len(excerpt.channels["contact_other"].t) == 0
+
+
+def test_gaps_of_a_log_that_is_kept_whole_are_seen() -> None:
+    t = np.concatenate([np.arange(3000) * 1e-3, 50 + np.arange(3000) * 1e-3])
+    whole = make_log(Path("log"), t, ("hip",), {"q": np.sin(t)[:, None]})
+    assert len(gaps(excerpt_of(whole, 1000.0, 2.0))) == 1

@@ -111,7 +111,7 @@ def test_problems_forbid_use() -> None:
         Notice("not_realizable", "problem", None, "judged by another rule"),
     ]
     (reason,) = problem_reasons(notices)
-    assert (reason.level, reason.text) == ("do_not_use", "Hip: the torque has the wrong sign.")
+    assert (reason.level, reason.text) == ("do_not_use", "hip: the torque has the wrong sign.")
     assert verdict([torque(1.0, 10.0), reason]) == "do_not_use"
 
 
@@ -121,7 +121,7 @@ def test_the_sample_leg_is_good(tmp_path: Path) -> None:
     assert done.json["verdict"] == "good"
     assert [reason["about"] for reason in done.json["verdict_reasons"]] == ["torque", "motion", "bodies", "data"]
     assert done.json["noise_floor"]["overall"] == pytest.approx(0.108, rel=0.05)
-    assert done.err.startswith("Verdict: good\n✓ torque: on held-out data, the torque error is 2.2 %")
+    assert done.err.startswith("Verdict: good\n✓ torque: On held-out data, the torque error is 2.2 %")
     assert '<p class="verdict good">Good</p>' in (tmp_path / "report.html").read_text()
 
 
@@ -131,7 +131,7 @@ def test_a_wrong_sign_must_not_be_used(tmp_path: Path) -> None:
     wrong = package.Log.from_arrays("wrong", log.t, log.joints, q=log.q, v=log.v, tau=-log.tau).save(tmp_path / "w.csv")
     done = idtool("validate", LEG, wrong, "--strict", "--no-simulation", "--out", tmp_path / "out")
     assert done.code == 1
-    assert done.out.startswith("Verdict: do not use\n✗ torque: on these logs, the torque error is ")
+    assert done.out.startswith("Verdict: do not use\n✗ torque: On these logs, the torque error is ")
     assert "--strict: the verdict is that the model must not be used" in done.out
     assert idtool("validate", LEG, wrong, "--no-simulation", "--out", tmp_path / "out").code == 0
 

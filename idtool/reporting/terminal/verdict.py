@@ -21,5 +21,5 @@ def show_verdict(terminal: Terminal, level: VerdictLevel, reasons: Sequence[Verd
     terminal.say(f"Verdict: {LEVEL_TEXTS[level]}", _STYLES[level])
     for reason in reasons:
         style = None if reason.level == "good" else _STYLES[reason.level]
-        terminal.say(f"{_MARKS[reason.level]} {reason.about}: {reason.text[:1].lower()}{reason.text[1:]}", style)
+        terminal.say(f"{_MARKS[reason.level]} {reason.about}: {reason.text}", style)
     terminal.say("")
