@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from idtool.estimation.dataset.robots_of_logs import robots_of_logs
 from idtool.estimation.distributed_reduction import reduce_on_cluster
 from idtool.estimation.fleet import check_fleet
 from idtool.estimation.reduced_experiment import ReducedExperiment, prepare_reduced, save_reduction
-from idtool.estimation.reduction_excerpts import excerpt_notices, excerpts_of
+from idtool.estimation.reduction_excerpts import read_excerpts
 from idtool.estimation.saved_reduction import SavedReduction, read_reduction
 from idtool.robot.config.pool import Pool
 
@@ -80,7 +80,7 @@ def load_experiment(
     given = _GivenLogs(as_list(logs), as_list(validate), holdout)
     with _in_configuration(model):
         if pool is not None and not given.has_reductions:
-            robots_of_logs(pool, [_path_of(log) for log in (*given.logs, *given.validate)])
+            robots_of_logs(pool, [path_of(log) for log in (*given.logs, *given.validate)])
         experiment: Experiment
         if distribution is not None:
             experiment = _reduced_by_cluster(model, given, distribution, skip_bad, progress, with_excerpts)
@@ -93,7 +93,7 @@ def load_experiment(
         return experiment
 
 
-def load_with_excerpts(
+def load_for_diagnosis(
     model: Model | Source,
     logs: Logs,
     validate: Logs = (),
@@ -118,24 +118,23 @@ def load_with_excerpts(
     model = as_model(model)
     given = _GivenLogs(as_list(logs), as_list(validate), holdout)
     with _in_configuration(model):
-        left_out: tuple[Notice, ...] = ()
         if distribution is None:
-            training, validation = _read_reductions(given.logs, True), _read_reductions(given.validate, True)
+            training, validation = given.reductions(with_excerpts=True)
+            left_out: tuple[Notice, ...] = ()
         else:
             training, validation, left_out = _reductions_by_cluster(
-                model, given, distribution, skip_bad, progress, True
+                model, given, distribution, skip_bad, progress, with_excerpts=True
             )
-            given = _GivenLogs([path for path, _ in training], [path for path, _ in validation], holdout)
-        excerpts = excerpts_of(training, model.settings), excerpts_of(validation, model.settings)
-        experiment = _prepare(
-            model,
-            _with_excerpts(given.logs, excerpts[0]),
-            _with_excerpts(given.validate, excerpts[1]),
-            holdout,
-            skip_bad,
-        )
-    notices = excerpt_notices([*training, *validation], excerpts)
-    return replace(experiment, left_out=(*left_out, *experiment.left_out, *notices))
+        excerpts = read_excerpts(training, validation, model.settings)
+        if distribution is None:
+            training_logs = _with_excerpts_in_place(given.logs, excerpts.training)
+            validation_logs = _with_excerpts_in_place(given.validate, excerpts.validation)
+        else:
+            training_logs = _as_logs(excerpts.training)
+            validation_logs = _as_logs(excerpts.validation)
+        experiment = _prepare(model, training_logs, validation_logs, holdout, skip_bad)
+    notices = (*left_out, *experiment.loading_notices, *excerpts.notices)
+    return replace(experiment, loading_notices=notices)
 
 
 @contextmanager
@@ -171,13 +170,14 @@ class _GivenLogs:
 
     def reductions(self, with_excerpts: bool) -> tuple[list[FileAndReduction], list[FileAndReduction]]:
         """The files of `idtool reduce` for the fit and for validation."""
-        training = _read_reductions(self.logs, with_excerpts)
-        validation = _read_reductions(self.validate, with_excerpts)
+        return _read_reductions(self.logs, with_excerpts), _read_reductions(self.validate, with_excerpts)
+
+    def check_holdout(self, training: Sequence[FileAndReduction]) -> None:
+        """Refuse reductions for a fit in which another part of the logs is held out; ConfigError."""
         for path, reduction in training:
             if not self.validate and self.holdout not in (reduction.holdout, DEFAULT_HOLDOUT):
                 what = f"{path} was made with --holdout {reduction.holdout:g}"
                 raise ConfigError("--holdout", f"{what}; make it again with idtool reduce for another one")
-        return training, validation
 
 
 def _prepare(
@@ -221,7 +221,9 @@ def _prepare_usable(
     training = [record for log in logs if (record := _readable(log, model, failures))]
     validation = [record for log in validate if (record := _readable(log, model, failures))]
     while True:
-        if not (training or validation) or (needs_training and not training) or (needs_validation and not validation):
+        lacks_training = needs_training and not training
+        lacks_validation = needs_validation and not validation
+        if lacks_training or lacks_validation or not (training or validation):
             return None, failures
         try:
             experiment = prepare(model.robot, model.settings, training, validation, holdout, transform)
@@ -233,7 +235,7 @@ def _prepare_usable(
                 raise
             failures.append(error)
         else:
-            return replace(experiment, left_out=tuple(map(left_out_notice, failures))), failures
+            return replace(experiment, loading_notices=tuple(map(left_out_notice, failures))), failures
 
 
 def _readable(log: LogSource, model: Model, failures: list[LogError]) -> JointLog | None:
@@ -251,6 +253,7 @@ def _with_reductions(
 ) -> Experiment:
     """A model with reduced logs; logs among them are reduced here."""
     training, validation = given.reductions(with_excerpts)
+    given.check_holdout(training)
     unreduced = given.without_reductions()
     experiment: Experiment | None = None
     failures: list[LogError] = []
@@ -278,7 +281,7 @@ def _with_reductions(
         validation = _in_order(given.validate, validation, of_validation)
     reduced = prepare_reduced(model.robot, model.settings, training, validation)
     left_out = tuple(map(left_out_notice, failures))
-    return replace(reduced, left_out=left_out, log_notices=unique((*notices, *reduced.log_notices)))
+    return replace(reduced, loading_notices=left_out, log_notices=unique((*notices, *reduced.log_notices)))
 
 
 def _reduced_by_cluster(
@@ -290,10 +293,11 @@ def _reduced_by_cluster(
     with_excerpts: bool,
 ) -> Experiment:
     """A model with logs that a cluster reduces, and with reductions."""
+    given.check_holdout(given.reductions(with_excerpts=False)[0])
     training, validation, left_out = _reductions_by_cluster(
         model, given, distribution, skip_bad, progress, with_excerpts
     )
-    return replace(prepare_reduced(model.robot, model.settings, training, validation), left_out=left_out)
+    return replace(prepare_reduced(model.robot, model.settings, training, validation), loading_notices=left_out)
 
 
 def _reductions_by_cluster(
@@ -340,12 +344,12 @@ def _in_order(
     for log in given:
         if reduction_path(log) is not None:
             ordered.append(remaining_files.pop(0))
-        elif remaining_logs and remaining_logs[0][0] == _path_of(log):
+        elif remaining_logs and remaining_logs[0][0] == path_of(log):
             ordered.append(remaining_logs.pop(0))
     return [*ordered, *remaining_logs]
 
 
-def _path_of(log: LogSource) -> Path:
+def path_of(log: LogSource) -> Path:
     """Path of a log."""
     return log.path if isinstance(log, Log) else log_path(log)
 
@@ -364,17 +368,21 @@ def reduction_path(log: LogSource) -> Path | None:
     return log_path(log)
 
 
-def _with_excerpts(logs: Sequence[LogSource], excerpts: Mapping[Path, Sequence[JointLog]]) -> list[LogSource]:
-    """Logs with the excerpts of a reduction in place of its file."""
+def _with_excerpts_in_place(logs: Sequence[LogSource], excerpts: Sequence[Sequence[JointLog]]) -> list[LogSource]:
+    """Logs with the excerpts of a reduction in place of its file, in the order of the reductions."""
     replaced: list[LogSource] = []
-    remaining = dict(excerpts)  # of a file that is given twice, once
+    remaining = iter(excerpts)
     for log in logs:
-        path = _path_of(log)
-        if path in excerpts:
-            replaced += [Log.from_record(excerpt) for excerpt in remaining.pop(path, ())]
-        else:
+        if reduction_path(log) is None:
             replaced.append(log)
+        else:
+            replaced += map(Log.from_record, next(remaining))
     return replaced
+
+
+def _as_logs(excerpts: Sequence[Sequence[JointLog]]) -> list[LogSource]:
+    """Excerpts of several reductions as logs."""
+    return [Log.from_record(excerpt) for of_reduction in excerpts for excerpt in of_reduction]
 
 
 def _read_reductions(logs: Sequence[LogSource], with_excerpts: bool) -> list[FileAndReduction]:

@@ -14,7 +14,8 @@ from idtool.api.data import (
     as_list,
     call_text,
     changed_options,
-    load_with_excerpts,
+    load_for_diagnosis,
+    path_of,
     reduction_path,
 )
 from idtool.api.distribution import open_distribution
@@ -25,7 +26,7 @@ from idtool.api.results import Progress, Recordable, SavableResult, ignore_progr
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import printable
 from idtool.common.outputs import as_json, as_yaml
-from idtool.common.urls import log_path, without_secrets
+from idtool.common.urls import without_secrets
 from idtool.data.logs import read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.pairing import check_joints, paired_paths
@@ -195,7 +196,7 @@ def diagnose(
     search = search_options(inertia, effects, most, budget, assume, against, simulation)
     check_simulator_logs(model, logs, against, cluster, skip_bad)
     with open_distribution(cluster, Path(reductions) if reductions else None, report_progress) as distribution:
-        experiment = load_with_excerpts(model, logs, validate, holdout, report_progress, distribution, skip_bad)
+        experiment = load_for_diagnosis(model, logs, validate, holdout, report_progress, distribution, skip_bad)
     options = changed_options(
         diagnose,
         holdout=holdout,
@@ -204,13 +205,14 @@ def diagnose(
         most=most,
         budget=budget,
         assume=assume,
-        against=[without_secrets(str(_path(log))) for log in as_list(against)] or (),
+        against=[without_secrets(str(path_of(log))) for log in as_list(against)] or (),
         simulation=simulation,
         cluster=cluster,
         skip_bad=skip_bad,
     )
     made_by = call_text("diagnose", model, logs, validate=validate, **options)
-    return diagnose_experiment(model, experiment, search, paired_logs(logs, against), holdout, made_by, report_progress)
+    simulated_logs = paired_logs(logs, against)
+    return diagnose_experiment(model, experiment, search, simulated_logs, holdout, made_by, report_progress)
 
 
 def search_options(
@@ -323,14 +325,10 @@ def paired_logs(logs: Logs, against: Logs) -> list[LogSource]:
     simulated = as_list(against)
     if not simulated:
         return []
-    names = [_path(log) for log in as_list(logs)]
-    folder_or_logs = paired_paths(names, [_path(log) for log in simulated])
-    is_folder = len(simulated) == 1 and folder_or_logs[0] != _path(simulated[0])
+    names = [path_of(log) for log in as_list(logs)]
+    folder_or_logs = paired_paths(names, [path_of(log) for log in simulated])
+    is_folder = len(simulated) == 1 and folder_or_logs[0] != path_of(simulated[0])
     return list(folder_or_logs) if is_folder else simulated
-
-
-def _path(log: LogSource) -> Path:
-    return log.path if isinstance(log, Log) else log_path(log)
 
 
 def _simulator_experiment(model: Model, logs: Sequence[LogSource], robot: Experiment, holdout: float) -> Experiment:

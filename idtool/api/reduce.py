@@ -160,5 +160,5 @@ def _result(experiment: Experiment, reduction: SavedReduction, file: Path) -> Re
         band_hz=reduction.band_hz,
         holdout=reduction.holdout,
         logs=tuple(logs),
-        **notice_fields((*experiment.left_out, *experiment.model.notices, *reduction.notices)),
+        **notice_fields((*experiment.loading_notices, *experiment.model.notices, *reduction.notices)),
     )

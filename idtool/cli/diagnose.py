@@ -62,7 +62,7 @@ def diagnose_command(
     quiet: QuietOption = False,
 ) -> None:
     """Find where model and data disagree, identify the missing effects, and add them to the model."""
-    from idtool.api.data import load_with_excerpts
+    from idtool.api.data import load_for_diagnosis
     from idtool.api.diagnose import check_simulator_logs, diagnose_experiment, paired_logs, search_options
     from idtool.api.model import Model
     from idtool.reporting.terminal import Terminal
@@ -80,7 +80,7 @@ def diagnose_command(
         check_simulator_logs(model, logs, simulator_logs, cluster, skip_bad)
         simulated = paired_logs(logs, simulator_logs)
         with distribution_of(cluster, folder / REDUCTIONS, terminal, progress) as distribution:
-            experiment = load_with_excerpts(model, logs, validate or (), holdout, progress, distribution, skip_bad)
+            experiment = load_for_diagnosis(model, logs, validate or (), holdout, progress, distribution, skip_bad)
         made_by = command_line()
         result = diagnose_experiment(model, experiment, search, simulated, holdout, made_by, progress)
         progress("writing", 0.0)

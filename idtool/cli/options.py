@@ -107,7 +107,8 @@ LogsArgument = Annotated[
     ),
 ]
 ConfigOption = Annotated[
-    Path | None, typer.Option("--config", "-c", help="Configuration (YAML); default: <urdf stem>.yaml beside the URDF.")
+    Path | None,
+    typer.Option("--config", "-c", help="Configuration (YAML); default: <urdf stem>.yaml beside the URDF."),
 ]
 OutOption = Annotated[
     Path | None, typer.Option("--out", "-o", help="Folder to write to; default: <urdf stem>_idtool/.")
@@ -189,7 +190,10 @@ InertiaOption = Annotated[
 ]
 EffectsOption = Annotated[
     str | None,
-    typer.Option(help="Effects to search for, separated by commas; default: all.", autocompletion=_complete_effects),
+    typer.Option(
+        help="Effects to search for, separated by commas; default: all.",
+        autocompletion=_complete_effects,
+    ),
 ]
 MaxEffectsOption = Annotated[int, typer.Option(min=1, help="Largest number of effects to add.")]
 BudgetOption = Annotated[
@@ -280,7 +284,7 @@ def command_line() -> str:
 def finish_model(
     terminal: Terminal, result: FitReport | ValidationReport, bounds: Mapping[str, bool], strict: bool
 ) -> None:
-    """Finish as `finish` does; exit with 1 also if the verdict is that a model must not be used, with ``strict``."""
+    """Finish as `finish` does; with ``strict``, exit with 1 also if the verdict is not to use the model."""
     is_refused = strict and result.verdict == "do_not_use"
     if is_refused:
         terminal.say("--strict: the verdict is that the model must not be used")

@@ -54,7 +54,11 @@ def validate_command(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option("--config", "-c", help="Configuration; default: <urdf stem>.yaml or model.yaml beside the URDF."),
+        typer.Option(
+            "--config",
+            "-c",
+            help="Configuration; default: <urdf stem>.yaml or model.yaml beside the URDF.",
+        ),
     ] = None,
     prior: Annotated[Path | None, typer.Option(help="Another URDF for comparison.")] = None,
     out: OutOption = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def fast_length(least: int) -> int:
-    """Smallest number, not below ``least``, whose prime factors are 2, 3 and 5: transforms of that length are fast."""
+    """Length of a fast transform: the smallest number, at least ``least``, with no prime factors but 2, 3 and 5."""
     length = 1 << (least - 1).bit_length()
     power_of_five = 1
     while power_of_five < length:

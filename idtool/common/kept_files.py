@@ -14,18 +14,18 @@ from pathlib import Path
 
 
 def read_kept(module_file: str, name: str) -> bytes | None:
-    """What `keep` has kept; None if there is nothing.
+    """Content of a kept file; None if there is none.
 
     Parameters
     ----------
     module_file
         ``__file__`` of the module that it belongs to.
     name
-        Name of the file. It tells all that the content depends on, such as versions.
+        Name of the file. It, or the content, tells what that depends on, such as versions.
     """
     try:
         return _path(module_file, name).read_bytes()
-    except OSError:
+    except (OSError, NotImplementedError):
         return None
 
 
@@ -33,8 +33,8 @@ def keep(module_file: str, name: str, content: bytes) -> None:
     """Keep a file for `read_kept`, if that is possible."""
     if sys.dont_write_bytecode:
         return
-    path = _path(module_file, name)
-    with suppress(OSError):
+    with suppress(OSError, NotImplementedError):
+        path = _path(module_file, name)
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:  # others may read it meanwhile
             try:
@@ -47,4 +47,5 @@ def keep(module_file: str, name: str, content: bytes) -> None:
 
 
 def _path(module_file: str, name: str) -> Path:
+    """Where it is kept; NotImplementedError where Python keeps no compiled modules."""
     return Path(importlib.util.cache_from_source(module_file)).with_name(name)

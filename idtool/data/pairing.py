@@ -11,6 +11,7 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import count_text, join_names, printable, stem
+from idtool.common.urls import is_url
 from idtool.data.logs.bag import METADATA
 from idtool.data.logs.log import JointLog
 
@@ -85,7 +86,9 @@ def paired_paths(logs: Sequence[Path], against: Sequence[Path]) -> list[Path]:
 
 
 def _is_folder_of_logs(path: Path) -> bool:
-    """True for a folder that is not itself a log, as a rosbag2 folder with its metadata is."""
+    """True for a folder on a disk that is not itself a log, as a rosbag2 folder with its metadata is."""
+    if is_url(path):
+        return False
     return path.is_dir() and not (path / METADATA).is_file()
 
 

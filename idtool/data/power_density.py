@@ -8,7 +8,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 
-_SEGMENTS_AT_ONCE = 64  # in memory
+_SEGMENTS_AT_ONCE = 64  # that are transformed together
 
 
 def power_density(
@@ -25,7 +25,7 @@ def power_density(
     segment
         Samples of a segment, at most N.
     average
-        Over the segments; the median is divided by what it is of noise whose mean is one.
+        Over the segments; the median is divided by its bias for noise.
 
     Returns
     -------

@@ -16,7 +16,7 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.common.number_text import number, range_text
 from idtool.diagnosis.residual_series import ResidualSeries
-from idtool.diagnosis.spectra import angle_spectrum, power_density
+from idtool.diagnosis.spectra import angle_spectrum, masked_power_density
 
 _MIN_SCORE = 0.3  # of a region that is named
 _MIN_ENERGY = 0.5  # share of the energy in a region
@@ -286,14 +286,14 @@ def _spectral_regions(residual: JointResidual, valid: Mask) -> Iterator[Region]:
 def _frequency_region(residual: JointResidual, valid: Mask, total: float) -> Iterator[Region]:
     series = residual.series
     j = residual.joint
-    f, power = power_density(residual.torque, valid, series.dt, series.segments, residual.band)
+    f, power = masked_power_density(residual.torque, valid, series.dt, series.segments, residual.band)
     if len(f) <= 2 * _LINE_WIDTH or not power.any():
         return
     peak = int(np.argmax(power))
     line = slice(max(peak - _LINE_WIDTH, 0), peak + _LINE_WIDTH + 1)
     motion_share = 0.0
     for x in (series.tau[j], series.v[j], series.a[j]):
-        _, motion_power = power_density(x, valid, series.dt, series.segments, residual.band)
+        _, motion_power = masked_power_density(x, valid, series.dt, series.segments, residual.band)
         motion_share = max(motion_share, motion_power[line].sum() / max(motion_power.sum(), 1e-300))
     score = min(power[line].sum() * (f[1] - f[0]) / total, 1.0) - motion_share
     frequency = f[line] @ power[line] / power[line].sum()

@@ -7,7 +7,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.diagnosis.records import ResidualProfile
 from idtool.diagnosis.residual_series import ResidualSeries, residual_series
-from idtool.diagnosis.spectra import angle_spectrum, power_density
+from idtool.diagnosis.spectra import angle_spectrum, masked_power_density
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
 STATE_BINS = 60
@@ -55,7 +55,7 @@ def _profile(series: ResidualSeries, j: int, band: float) -> ResidualProfile:
     centers, mean, rms = {}, {}, {}
     for name, (values, edges) in variables.items():
         centers[name], mean[name], rms[name] = bin_means(values, edges, residual[valid])
-    frequency, density = power_density(residual, valid, series.dt, series.segments, band)
+    frequency, density = masked_power_density(residual, valid, series.dt, series.segments, band)
     angle, amplitude = angle_spectrum(residual[valid], q, v, band)
     return ResidualProfile(centers, mean, rms, frequency, np.sqrt(density), angle, amplitude)
 

@@ -24,7 +24,9 @@ _SLOW_QUANTILE = 0.25  # share of the samples in which the band must contain a r
 _MIN_DETERMINANT = 1e-3  # below it, a fraction of a period: a sine can't be separated from a constant
 
 
-def power_density(x: Array, valid: Mask, dt: Array, segments: Sequence[slice], band: float) -> tuple[Array, Array]:
+def masked_power_density(
+    x: Array, valid: Mask, dt: Array, segments: Sequence[slice], band: float
+) -> tuple[Array, Array]:
     """One-sided power density over frequency.
 
     Parameters

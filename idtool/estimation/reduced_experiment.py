@@ -54,7 +54,7 @@ class ReducedExperiment(Experiment):
     @property
     @override
     def notices(self) -> tuple[Notice, ...]:
-        return (*self.left_out, *self.model.notices, *self.log_notices)
+        return (*self.loading_notices, *self.model.notices, *self.log_notices)
 
     @property
     @override
@@ -133,7 +133,7 @@ def save_reduction(
         raise ConfigError("effects", f"{what}; idtool reduce cannot handle them, so fit the logs themselves")
     given = experiment.config.controller
     experiment, delay, _ = with_delay(experiment, progress)
-    not_of_logs = {*experiment.model.notices, *experiment.left_out}
+    not_of_logs = {*experiment.model.notices, *experiment.loading_notices}
     notices = [notice for notice in experiment.notices if notice not in not_of_logs]
     if delay is not None and given is not None:
         notices += delay.notices

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from idtool.common.exceptions import LogError
 from idtool.common.notice import Notice
 from idtool.data.excerpt import duration_of
 from idtool.data.logs import JointLog
+from idtool.estimation.dataset.reduced_logs import ReducedLog
 from idtool.estimation.dataset.row_settings import first_difference
 from idtool.estimation.saved_reduction import SavedReduction
 from idtool.robot.config import Config
@@ -18,13 +21,34 @@ _MAX_SECONDS = 180.0  # of the excerpts of all logs together, that are used
 _WHOLE = 0.95  # share of the logs from which on excerpts are as good as all of them
 
 
-def excerpts_of(reductions: Sequence[tuple[Path, SavedReduction]], config: Config) -> dict[Path, tuple[JointLog, ...]]:
-    """Excerpts in reductions by the path of each; of many logs, some, evenly chosen.
+@dataclass(frozen=True)
+class Excerpts:
+    """Excerpts of the logs in some reductions, for the fit and for validation.
+
+    Attributes
+    ----------
+    training, validation
+        Excerpts of each reduction, in the order of the reductions; of many logs, only some have one.
+    notices
+        A notice about how little of the logs they are, if all of the logs would tell more.
+    """
+
+    training: tuple[tuple[JointLog, ...], ...]
+    validation: tuple[tuple[JointLog, ...], ...]
+    notices: tuple[Notice, ...]
+
+
+def read_excerpts(
+    training: Sequence[tuple[Path, SavedReduction]],
+    validation: Sequence[tuple[Path, SavedReduction]],
+    config: Config,
+) -> Excerpts:
+    """Excerpts in reductions; of many logs, some, evenly chosen.
 
     Parameters
     ----------
-    reductions
-        Reductions with their files, or with the logs that they are of.
+    training, validation
+        Reductions for the fit and for validation, with their files or with the logs that they are of.
     config
         The configuration, which must not read logs in another way.
 
@@ -33,41 +57,51 @@ def excerpts_of(reductions: Sequence[tuple[Path, SavedReduction]], config: Confi
     LogError
         If one has no excerpts, or was made with other settings for reading logs.
     """
-    found: list[tuple[Path, JointLog]] = []
-    for path, reduction in dict(reductions).items():  # one that is given twice is used once
+    for path, reduction in (*training, *validation):
         _check_reading(path, reduction, config)
-        for log in reduction.logs:
-            if log.excerpt is None:
-                raise LogError(path, f"has no samples of {log.name}; make it again with idtool reduce")
-            found.append((path, log.excerpt))
-    seconds = sum(duration_of(excerpt) for _, excerpt in found)
+        _check_excerpts(path, reduction)
+    logs = [log for _, reduction in (*training, *validation) for log in reduction.logs]
+    seconds = sum(duration_of(log.excerpt) for log in logs if log.excerpt)
     step = max(math.ceil(seconds / _MAX_SECONDS), 1)
-    chosen: dict[Path, tuple[JointLog, ...]] = {path: () for path, _ in reductions}
-    for path, excerpt in found[::step]:
-        chosen[path] += (excerpt,)
-    return chosen
+    chosen_training = _every_nth_excerpt([reduction for _, reduction in training], step)
+    chosen_validation = _every_nth_excerpt([reduction for _, reduction in validation], step)
+    chosen = [excerpt for of_reduction in (*chosen_training, *chosen_validation) for excerpt in of_reduction]
+    used_seconds = sum(map(duration_of, chosen))
+    return Excerpts(chosen_training, chosen_validation, tuple(_notices(used_seconds, _reduced_seconds(logs))))
 
 
-def excerpt_notices(
-    reductions: Sequence[tuple[Path, SavedReduction]], used: Sequence[Mapping[Path, Sequence[JointLog]]]
-) -> Iterator[Notice]:
-    """Notice about how little of the logs is used, if it is not as good as all.
+def _every_nth_excerpt(reductions: Sequence[SavedReduction], step: int) -> tuple[tuple[JointLog, ...], ...]:
+    """The excerpt of every so many-th log, the first included, by reduction."""
+    number = itertools.count()
+    chosen = []
+    for reduction in reductions:
+        own = [log.excerpt for log in reduction.logs if next(number) % step == 0]
+        chosen.append(tuple(excerpt for excerpt in own if excerpt is not None))
+    return tuple(chosen)
 
-    Parameters
-    ----------
-    reductions
-        The reductions.
-    used
-        The excerpts of them that are used, for the fit and for validation.
-    """
-    excerpts = [excerpt for of_kind in used for of_path in of_kind.values() for excerpt in of_path]
-    seconds = sum(map(duration_of, excerpts))
-    logs = [log for _, reduction in reductions for log in reduction.logs]
-    total = sum(part.samples * log.excerpt.dt for log in logs if log.excerpt for part in (*log.train, *log.held_out))
-    if seconds < _WHOLE * total:
-        message = f"samples of {seconds:.0f} s are used, of the {total:.0f} s that were reduced"
+
+def _reduced_seconds(logs: Sequence[ReducedLog]) -> float:
+    """Time of the logs that were reduced [s]."""
+    seconds = 0.0
+    for log in logs:
+        samples = sum(part.samples for part in (*log.train, *log.held_out))
+        seconds += samples * (log.excerpt.dt if log.excerpt else 0.0)
+    return seconds
+
+
+def _notices(used_seconds: float, reduced_seconds: float) -> Iterator[Notice]:
+    """Notice about how little of the logs is used."""
+    if used_seconds < _WHOLE * reduced_seconds:
+        message = f"samples of {used_seconds:.0f} s are used, of the {reduced_seconds:.0f} s that were reduced"
         advice = "an effect that shows only at times may be missed; give the log in which you expect it"
         yield Notice("excerpts_used", "note", None, message, advice)
+
+
+def _check_excerpts(path: Path, reduction: SavedReduction) -> None:
+    """Refuse a reduction that lacks the excerpt of a log."""
+    for log in reduction.logs:
+        if log.excerpt is None:
+            raise LogError(path, f"has no samples of {log.name}; make it again with idtool reduce")
 
 
 def _check_reading(path: Path, reduction: SavedReduction, config: Config) -> None:

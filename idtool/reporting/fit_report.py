@@ -63,7 +63,7 @@ from idtool.reporting.verdict import (
     motion_reason,
     problem_reasons,
     torque_reason,
-    verdict,
+    worst_level,
 )
 from idtool.robot.body import Body
 from idtool.robot.config import Config, EffectEntry
@@ -117,16 +117,17 @@ def fit_report(
             experiment.model.units,
             rms.prior_validation,
             noise_floor,
-            where="on held-out data" if fit.has_held_out else "on the data that the model was fitted to",
+            where="On held-out data" if fit.has_held_out else "On the data that the model was fitted to",
             was_fitted=not fit.has_held_out,
         ),
         motion_reason(simulation, why_not_simulated(fit.simulation, "identified", experiment)),
         bodies_reason(bodies, fit.notices),
-        data_reason(base_parameters, solver, fit.notices),
+        data_reason(base_parameters, solver),
+        *problem_reasons(fit.notices),
     )
     return FitReport(
         **provenance_fields(experiment.sources),
-        verdict=verdict(reasons),
+        verdict=worst_level(reasons),
         verdict_reasons=reasons,
         joints=joints,
         units=experiment.model.units,
@@ -605,13 +606,13 @@ def validation_report(
         )
     error_shares = nrms(evaluation, "model", joints)
     reasons = [
-        torque_reason(rms.model, error_shares, units, rms.prior, None, where="on these logs"),
+        torque_reason(rms.model, error_shares, units, rms.prior, None, where="On these logs"),
         motion_reason(simulation, why_not),
         *problem_reasons(notices),
     ]
     return ValidationReport(
         **provenance_fields(sources),
-        verdict=verdict(reasons),
+        verdict=worst_level(reasons),
         verdict_reasons=reasons,
         joints=joints,
         units=units,

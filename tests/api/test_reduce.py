@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import zipfile
@@ -17,6 +18,7 @@ from figures import assert_same_figures
 from paths import SAMPLES
 
 import idtool as package
+from idtool.data.logs.log import Channel
 from idtool.estimation.saved_reduction import read_reduction, write_reduction
 
 OTHERS = "give the log (fit, validate, study and diagnose take reductions)"
@@ -261,6 +263,41 @@ def test_a_diagnosis_of_long_logs_uses_windows_of_them(tmp_path: Path, monkeypat
         patch.setattr("idtool.estimation.reduction_excerpts._MAX_SECONDS", 5.0)
         of_one = package.diagnose(LEG, tmp_path / "both.idr", **SEARCH)
     assert of_one.logs == (str(logs[0]),)
+
+
+def test_a_reduction_that_is_given_twice_is_named(reduction: Path) -> None:
+    result = package.diagnose(LEG, [reduction, reduction], effects=["parallel_spring"], simulation=False)
+    assert "duplicate_log" in [notice.code for notice in result.notices]
+
+
+def test_a_diagnosis_holds_out_what_it_is_told(reduction: Path) -> None:
+    """An excerpt does not depend on what the reduction holds out."""
+    result = package.diagnose(LEG, reduction, holdout=0.5, **SEARCH)
+    assert result.samples.train == pytest.approx(result.samples.validation, rel=0.05)
+
+
+def test_a_url_of_a_simulator_that_cannot_be_read_is_one_line_without_secrets() -> None:
+    with pytest.raises(package.IdtoolError) as refusal:
+        package.diagnose(LEG, TRAIN, against="https://user:word@127.0.0.1:9/log.mcap?key=SECRET")
+    assert "SECRET" not in str(refusal.value)
+
+
+def test_no_logs_are_one_line() -> None:
+    with pytest.raises(package.LogError, match="no log given"):
+        package.fit(LEG, [], skip_bad=True)
+
+
+def test_an_empty_channel_is_written(reduction: Path, tmp_path: Path) -> None:
+    saved = read_reduction(reduction, with_excerpts=True)
+    (log,) = saved.logs
+    assert log.excerpt is not None
+    silent = dataclasses.replace(log.excerpt, channels={"contact_foot": Channel(np.zeros(0), np.zeros(0))})
+    with_channel = dataclasses.replace(saved, logs=(dataclasses.replace(log, excerpt=silent),))
+    write_reduction(tmp_path / "silent.idr", with_channel)
+    (again,) = read_reduction(tmp_path / "silent.idr", with_excerpts=True).logs
+    assert again.excerpt is not None
+    assert len(again.excerpt.channels["contact_foot"].t) == 0
+    np.testing.assert_array_equal(again.excerpt.signals["q"], silent.signals["q"])
 
 
 def test_reductions_without_samples_and_of_logs_read_otherwise_are_refused(reduction: Path, tmp_path: Path) -> None:

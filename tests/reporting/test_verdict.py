@@ -13,7 +13,7 @@ import idtool as package
 from idtool.common.notice import Notice
 from idtool.reporting.results.rollouts import Horizon, MotionErrors, Simulation, WindowCount
 from idtool.reporting.results.verdict import VerdictReason
-from idtool.reporting.verdict import motion_reason, problem_reasons, torque_reason, verdict
+from idtool.reporting.verdict import motion_reason, problem_reasons, torque_reason, worst_level
 
 UNITS = {"hip": "N·m", "knee": "N·m"}
 
@@ -28,7 +28,7 @@ def torque(error: float, spread: float, prior: float | None = None, floor: float
     prior_errors = None if prior is None else errors(prior, prior)
     noise = None if floor is None else errors(floor, floor)
     shares: Mapping[str, float | None] = {"hip": error / spread, "knee": error / spread}
-    return torque_reason(errors(error, error), shares, UNITS, prior_errors, noise, "on held-out data")
+    return torque_reason(errors(error, error), shares, UNITS, prior_errors, noise, "On held-out data")
 
 
 TORQUE = {
@@ -48,14 +48,14 @@ def test_torque(reason: VerdictReason, level: str, share: float) -> None:
 
 def test_joints_with_little_torque_count_little() -> None:
     """A joint that carries nothing has a large relative error, which matters to nobody."""
-    reason = torque_reason(errors(0.5, 0.05), {"hip": 0.05, "knee": 1.0}, UNITS, None, None, "on held-out data")
+    reason = torque_reason(errors(0.5, 0.05), {"hip": 0.05, "knee": 1.0}, UNITS, None, None, "On held-out data")
     assert reason.level == "good"
     assert reason.figure == pytest.approx(0.05, rel=0.01)
 
 
 def test_fitted_data_do_not_tell_prediction() -> None:
     shares = {"hip": 0.1, "knee": 0.1}
-    reason = torque_reason(errors(1, 1), shares, UNITS, None, None, "on the data that it was fitted to", True)
+    reason = torque_reason(errors(1, 1), shares, UNITS, None, None, "On the data that it was fitted to", True)
     assert reason.level == "torque_only"
 
 
@@ -86,7 +86,7 @@ MOTION = {
     "for long": (simulation((0.01, 0.001, 0.1), (0.1, 0.01, 0.2), (0.5, 0.1, 0.5)), "good", 0.5),
     "for 0.1 s": (simulation((0.01, 0.001, 0.1), (0.1, 0.01, 0.2), (0.5, 0.3, 0.5)), "torque_only", 0.1),
     "only later again": (simulation((0.01, 0.05, 0.1), (0.1, 0.01, 0.2), (0.5, 0.1, 0.5)), "torque_only", 0.0),
-    "runs away": (simulation((0.01, 0.001, 0.1), (0.5, 0.1, 0.5), lost=2), "torque_only", 0.0),
+    "runs away": (simulation((0.01, 0.001, 0.1), (0.5, 0.1, 0.5), lost=2), "torque_only", None),
     "follows its command": (simulation(kind="closed_loop", window=None), "good", 0.2),
     "does not follow": (
         simulation(kind="closed_loop", window=None, position=errors(0.4, 0.4)),
@@ -112,7 +112,7 @@ def test_problems_forbid_use() -> None:
     ]
     (reason,) = problem_reasons(notices)
     assert (reason.level, reason.text) == ("do_not_use", "hip: the torque has the wrong sign.")
-    assert verdict([torque(1.0, 10.0), reason]) == "do_not_use"
+    assert worst_level([torque(1.0, 10.0), reason]) == "do_not_use"
 
 
 def test_the_sample_leg_is_good(tmp_path: Path) -> None:

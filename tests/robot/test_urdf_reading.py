@@ -141,8 +141,8 @@ PAIR = '<robot name="r"><link name="l0"/><link name="l1">{}</link>{}</robot>'
         (chain(link(1)).replace("</robot>", joint("j2", "fixed", "l1", "l0") + "</robot>"), "no root link"),
         (chain(link(1), joint("j2", "fixed", "l2", "l2")), "loop"),
         (chain(link(1), link(2), joint("j3", "fixed", "l0", "l2")), "link l2 is the child of two joints"),
-        (chain(link(1), joint("j1", "fixed", "l1", "l2")), "have the same name"),
-        (chain(link(1)).replace("</robot>", '<link name="l0"/></robot>'), "have the same name"),
+        (chain(link(1), joint("j1", "fixed", "l1", "l2")), "; rename all but one"),
+        (chain(link(1)).replace("</robot>", '<link name="l0"/></robot>'), "; rename all but one"),
         (chain(joint("j1", "fixed", "l0", "thigh")), "names link thigh, which the URDF does not define"),
         (chain(link(1, kind="floating")), "type floating is not supported"),
         (chain(link(1)).replace('type="revolute"', ""), "type None is not supported"),
@@ -194,3 +194,9 @@ def test_a_log_in_its_place(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"t,q_a" if name == "log.csv" else b"\x89MCAP0\r\n")
     with pytest.raises(ModelError, match="is a log; give the URDF first"):
         read_robot(tmp_path / name)
+
+
+def test_a_configuration_in_its_place(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text("gravity: [0, 0, -9.81]")
+    with pytest.raises(ModelError, match="is not a URDF, which is XML; give the URDF first"):
+        read_robot(tmp_path / "robot.yaml")

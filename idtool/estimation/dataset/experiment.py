@@ -112,8 +112,8 @@ class Experiment:
         Batches and columns that are kept for other models of the same logs; None: none are.
     comparison_notices
         Those of the `notices` that a comparison of the logs with the model gave, without the logs' names.
-    left_out
-        Notices about logs that were given and cannot be used.
+    loading_notices
+        Notices about logs that were given and are not used, or only in part.
     """
 
     config: Config
@@ -123,12 +123,12 @@ class Experiment:
     runs: tuple[Run, ...]
     cache: BatchCache | None = None
     comparison_notices: tuple[Notice, ...] = ()
-    left_out: tuple[Notice, ...] = ()
+    loading_notices: tuple[Notice, ...] = ()
 
     @property
     def notices(self) -> tuple[Notice, ...]:
         """Notices about model and logs."""
-        notices = [*self.left_out, *self.model.notices]
+        notices = [*self.loading_notices, *self.model.notices]
         notices += [*self._moving_joints_notice(), *self._same_recording_notices()]
         controller = self.config.controller
         if self.has_commands and controller is not None and controller.known_delay is None:

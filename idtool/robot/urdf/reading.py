@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import shlex
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,7 @@ _MAX_VALUE = 1e12  # SI, of any number that enters the equations; what is larger
 _CHILDREN = {"link": ("inertial",), "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic")}
 _TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _SUFFIXES = (".urdf", ".xml", "")
+_LOG_SUFFIXES = (".csv", ".mcap", ".bag", ".db3")
 _XACRO = "xacro"  # in the namespaces that xacro has had
 _INERTIA_ENTRIES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # as in `symmetric_matrix`
 _MOMENTS = ("ixx", "iyy", "izz")  # must be there; a product that is not is zero
@@ -138,8 +140,11 @@ def read_robot(path: Path) -> Robot:
             data = file.read(_MAX_BYTES + 1)
     except OSError as error:
         raise ModelError(path, read_error_text(path, error)) from None
-    if data.startswith(b"\x89MCAP") or not (path.suffix.lower() in _SUFFIXES or data.lstrip().startswith(b"<")):
+    is_log = data.startswith(b"\x89MCAP") or path.suffix.lower() in _LOG_SUFFIXES
+    if is_log and not data.lstrip().startswith(b"<"):
         raise ModelError(path, "is a log; give the URDF first and the logs after it")
+    if path.suffix.lower() not in _SUFFIXES and not data.lstrip().startswith(b"<"):
+        raise ModelError(path, "is not a URDF, which is XML; give the URDF first and the logs after it")
     return parse_robot(path, data)
 
 
@@ -172,8 +177,11 @@ def parse_robot(path: Path, data: bytes) -> Robot:
     with np.errstate(all="ignore"):  # numbers that are not finite are found by their results
         joints = [_joint(path, element) for element in joint_elements]
         links = {element.get("name", ""): _parameters(path, element) for element in link_elements}
-    if len(links) != len(link_elements) or len({joint.name for joint in joints}) != len(joints):
-        raise ModelError(path, "two links or two joints have the same name; rename one")
+    for kind, elements in (("links", link_elements), ("joints", joint_elements)):
+        names = Counter(element.get("name", "") for element in elements)
+        name, count = names.most_common(1)[0] if names else ("", 1)
+        if count > 1:
+            raise ModelError(path, f"has {count} {kind} of the name {name}; rename all but one")
     root_link, ordered = _tree(path, links, joints)
     return Robot(path, data, root_link, links, ordered, source_from_bytes("URDF", path, data))
 
@@ -248,7 +256,7 @@ def _check_required(path: Path, element: etree._Element) -> None:
     for inertia in element.iterfind("inertial/inertia"):
         missing = [name for name in _MOMENTS if name not in inertia.attrib]
         if missing:
-            raise ModelError(where, f"its inertia lacks {', '.join(missing)}")
+            raise ModelError(where, f"its inertia lacks {', '.join(missing)}; add it")
 
 
 def _parameters(path: Path, link: etree._Element) -> Array | None:
@@ -353,6 +361,9 @@ def _number(where: str, element: etree._Element | None, name: str, default: floa
 
 
 def _to_number(text: str) -> float | None:
+    """The number that a text is; None if it is none."""
+    if "_" in text:  # which is part of a number in Python alone
+        return None
     try:
         return float(text)
     except ValueError:
