@@ -14,9 +14,10 @@ from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.input_files import REDUCTION_SUFFIX
+from idtool.common.names import without_secrets
 from idtool.common.notice import Notice, unique
 from idtool.common.provenance import InputFile
-from idtool.common.urls import local_copy, log_path, without_secrets
+from idtool.common.urls import local_copy, log_path
 from idtool.data.logs import JointLog
 from idtool.estimation.dataset.experiment import Experiment, is_about, left_out_notice, prepare
 from idtool.estimation.dataset.robots_of_logs import robots_of_logs

@@ -24,9 +24,8 @@ from idtool.api.log import Log
 from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, as_model, identified_urdf_text
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError, LogError
-from idtool.common.names import printable
+from idtool.common.names import printable, without_secrets
 from idtool.common.outputs import as_json, as_yaml
-from idtool.common.urls import without_secrets
 from idtool.data.logs import read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.pairing import check_joints, paired_paths

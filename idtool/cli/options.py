@@ -15,8 +15,7 @@ import typer
 
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.input_files import missing_file_advice
-from idtool.common.names import stem
-from idtool.common.urls import without_secrets
+from idtool.common.names import stem, without_secrets
 
 if TYPE_CHECKING:
     from idtool.api.distribution import Distribution

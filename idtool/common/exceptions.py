@@ -6,6 +6,8 @@ behind ``error:`` and exits with code 2.
 
 from __future__ import annotations
 
+from idtool.common.names import without_secrets
+
 
 class IdtoolError(Exception):
     """Base of every error that idtool raises on purpose.
@@ -19,7 +21,7 @@ class IdtoolError(Exception):
     """
 
     def __init__(self, where: object, what: str) -> None:
-        self.where = _one_line(str(where))
+        self.where = _one_line(without_secrets(str(where)))
         self.what = _one_line(" ".join(what.split()))
         super().__init__(f"{self.where}: {self.what}")
 

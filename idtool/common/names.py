@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 from collections.abc import Collection
 from pathlib import Path
 
 _MAX_LENGTH = 60
 _MAX_LISTED = 6
 _MIN_SIMILARITY = 0.5  # of names, by difflib, from 0 to 1
+_SECRETS = re.compile(r"(?<=://)[^/@]*@|\?.*")  # of a URL
 
 
 def printable(name: str) -> str:
@@ -50,3 +52,13 @@ def closest_name(name: str, known: Collection[str]) -> str | None:
 def stem(path: Path) -> str:
     """Name of a file without its suffix, or of a folder, whose name has no suffix."""
     return path.name if os.path.isdir(path) else path.stem  # of any name, however long
+
+
+def is_url(path: str | os.PathLike[str]) -> bool:
+    """True for a URL."""
+    return "://" in str(path)
+
+
+def without_secrets(text: str) -> str:
+    """A URL without user, password and query, which may hold a signature; any other text as it is."""
+    return _SECRETS.sub("", text) if is_url(text) else text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -12,9 +11,9 @@ from pathlib import Path
 from typing import cast
 
 from idtool.common.exceptions import LogError, TransferError
+from idtool.common.names import is_url
 
 _BLOCK = 8 << 20  # bytes that are copied at once
-_SECRETS = re.compile(r"(?<=://)[^/@]*@|\?.*")
 _VERSION_KEYS = ("ETag", "etag", "md5Hash", "LastModified", "last_modified", "mtime", "updated", "size")  # of fsspec
 
 
@@ -37,16 +36,6 @@ def log_path(path: str | os.PathLike[str]) -> Path:
         return cast("Path", UPath(path))
     except (ValueError, ImportError, OSError) as error:
         raise LogError(path, f"cannot be opened: {error}") from None
-
-
-def is_url(path: str | os.PathLike[str]) -> bool:
-    """True for a URL."""
-    return "://" in str(path)
-
-
-def without_secrets(text: str) -> str:
-    """A URL without user, password and query, which may hold a signature; any other text as it is."""
-    return _SECRETS.sub("", text) if is_url(text) else text
 
 
 @contextmanager

@@ -10,8 +10,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
-from idtool.common.names import count_text, join_names, printable, stem
-from idtool.common.urls import is_url
+from idtool.common.names import count_text, is_url, join_names, printable, stem
 from idtool.data.logs.bag import METADATA
 from idtool.data.logs.log import JointLog
 

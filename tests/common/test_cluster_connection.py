@@ -11,7 +11,7 @@ from distributed import KilledWorker
 
 from idtool.common import cluster
 from idtool.common.exceptions import ConfigError
-from idtool.common.urls import without_secrets
+from idtool.common.names import without_secrets
 from idtool.common.version import VERSION
 
 

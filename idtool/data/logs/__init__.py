@@ -33,11 +33,11 @@ from typing import Any, BinaryIO, Protocol, cast
 
 from idtool.common.exceptions import LogError
 from idtool.common.input_files import REDUCTION_SUFFIX, missing_file_advice
-from idtool.common.names import printable, suggestion
+from idtool.common.names import is_url, printable, suggestion, without_secrets
 from idtool.common.outputs import OutputError, check_file
 from idtool.common.provenance import source_from_file
 from idtool.common.threads import BackgroundThread
-from idtool.common.urls import is_url, local_copy, log_path, without_secrets
+from idtool.common.urls import local_copy, log_path
 from idtool.data.logs.bag import METADATA, ROS1, SQLITE, is_bag, log_files, ros1_message, wrong_storage_message
 from idtool.data.logs.log import SIGNALS, JointLog, make_log
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions
