@@ -24,7 +24,7 @@ from idtool.estimation.dataset.robots_of_logs import robots_of_logs
 from idtool.estimation.distributed_reduction import reduce_on_cluster
 from idtool.estimation.fleet import check_fleet
 from idtool.estimation.reduced_experiment import ReducedExperiment, prepare_reduced, save_reduction
-from idtool.estimation.reduction_excerpts import read_excerpts
+from idtool.estimation.reduction_excerpts import choose_excerpts
 from idtool.estimation.saved_reduction import SavedReduction, read_reduction
 from idtool.robot.config.pool import Pool
 
@@ -119,14 +119,13 @@ def load_for_diagnosis(
     model = as_model(model)
     given = _GivenLogs(as_list(logs), as_list(validate), holdout)
     with _in_configuration(model):
-        if distribution is None:
-            training, validation = given.reductions(with_excerpts=True)
-            left_out: tuple[Notice, ...] = ()
-        else:
-            training, validation, left_out = _reductions_by_cluster(
-                model, given, distribution, skip_bad, progress, with_excerpts=True
+        training, validation = given.reductions(with_excerpts=True)
+        left_out: tuple[Notice, ...] = ()
+        if distribution is not None:
+            training, validation, left_out = _with_cluster_reductions(
+                training, validation, model, given, distribution, skip_bad, progress, with_excerpts=True
             )
-        excerpts = read_excerpts(training, validation, model.settings)
+        excerpts = choose_excerpts(training, validation, model.settings)
         if distribution is None:
             training_logs = _with_excerpts_in_place(given.logs, excerpts.training)
             validation_logs = _with_excerpts_in_place(given.validate, excerpts.validation)
@@ -294,14 +293,17 @@ def _reduced_by_cluster(
     with_excerpts: bool,
 ) -> Experiment:
     """A model with logs that a cluster reduces, and with reductions."""
-    given.check_holdout(given.reductions(with_excerpts=False)[0])
-    training, validation, left_out = _reductions_by_cluster(
-        model, given, distribution, skip_bad, progress, with_excerpts
+    training, validation = given.reductions(with_excerpts)
+    given.check_holdout(training)
+    training, validation, left_out = _with_cluster_reductions(
+        training, validation, model, given, distribution, skip_bad, progress, with_excerpts
     )
     return replace(prepare_reduced(model.robot, model.settings, training, validation), loading_notices=left_out)
 
 
-def _reductions_by_cluster(
+def _with_cluster_reductions(
+    training: list[FileAndReduction],
+    validation: list[FileAndReduction],
     model: Model,
     given: _GivenLogs,
     distribution: Distribution,
@@ -309,8 +311,10 @@ def _reductions_by_cluster(
     progress: Progress,
     with_excerpts: bool,
 ) -> tuple[list[FileAndReduction], list[FileAndReduction], tuple[Notice, ...]]:
-    """Reductions for the fit and for validation, of logs by a cluster; and notices about logs that are left out."""
-    training, validation = given.reductions(with_excerpts)
+    """Reductions for the fit and for validation with those of the given logs, which a cluster makes, in their order.
+
+    The third part of the result are notices about logs that are left out.
+    """
     unreduced = given.without_reductions()
     if not (unreduced.logs or unreduced.validate):
         return training, validation, ()

@@ -10,6 +10,9 @@ import numpy as np
 from idtool.data.logs import JointLog
 from idtool.data.logs.log import Channel
 
+_MIN_WINDOW_SAMPLES = 2  # of which a segment consists
+_NUMBER_BYTES = 8
+
 
 def excerpt_of(log: JointLog, duration: float, window: float) -> JointLog:
     """Windows of a log, spread evenly over it, as a log with a segment for each.
@@ -23,28 +26,32 @@ def excerpt_of(log: JointLog, duration: float, window: float) -> JointLog:
     window
         Length of a window [s].
     """
-    samples = sum(segment.stop - segment.start for segment in log.segments)
-    length = max(round(window / log.dt), 2)
-    wanted = max(round(duration / log.dt), length)
-    if wanted >= samples:
+    total_samples = _sample_count(log.segments)
+    window_samples = max(round(window / log.dt), _MIN_WINDOW_SAMPLES)
+    wanted_samples = max(round(duration / log.dt), window_samples)
+    if wanted_samples >= total_samples:
         return log
-    windows = evenly_chosen(list(spread_windows(log.segments, wanted / samples, length)), wanted)
+    candidates = list(spread_windows(log.segments, wanted_samples / total_samples, window_samples))
+    windows = _thinned(candidates, wanted_samples)
     kept = np.concatenate([np.arange(part.start, part.stop) for part in windows])
-    stops = np.cumsum([part.stop - part.start for part in windows]).tolist()
+    lengths = [part.stop - part.start for part in windows]
+    new_stops = np.cumsum(lengths).tolist()
+    new_starts = [0, *new_stops[:-1]]
+    intervals = [(float(log.t[part.start]), float(log.t[part.stop - 1])) for part in windows]
     return replace(
         log,
         t=log.t[kept],
         signals={name: np.asarray(values[kept]) for name, values in log.signals.items()},
-        segments=tuple(map(slice, [0, *stops[:-1]], stops)),
+        segments=tuple(map(slice, new_starts, new_stops)),
         is_excerpt=True,
-        channels=_channels_within(log.channels, [(log.t[part.start], log.t[part.stop - 1]) for part in windows]),
+        channels=_channels_around(log.channels, intervals),
     )
 
 
 def spread_windows(ranges: Sequence[slice], share: float, length: int) -> Iterator[slice]:
-    """Windows with about a share of some ranges of samples, spread evenly over each.
+    """Windows with about a share of the samples of some ranges, spread evenly over each range.
 
-    There is at least one of each range, which is all of it if it is as short.
+    Each range has at least one window; a range that is no longer than a window is one.
 
     Parameters
     ----------
@@ -60,41 +67,49 @@ def spread_windows(ranges: Sequence[slice], share: float, length: int) -> Iterat
         if samples <= length:
             yield part
             continue
-        count = min(max(round(share * samples / length), 1), samples // length)
+        wanted_count = max(round(share * samples / length), 1)
+        count = min(wanted_count, samples // length)
         spacing = samples / count
         for i in range(count):
-            start = part.start + int((i + 0.5) * spacing - length / 2)
+            middle = part.start + (i + 0.5) * spacing
+            start = int(middle - length / 2)
             yield slice(start, start + length)
 
 
-def evenly_chosen(windows: Sequence[slice], wanted: int) -> list[slice]:
-    """Some of many windows, evenly chosen, that together have about as many samples as wanted; all of few."""
-    samples = sum(window.stop - window.start for window in windows)
-    return list(windows[:: max(round(samples / wanted), 1)])
+def _thinned(windows: Sequence[slice], wanted_samples: int) -> list[slice]:
+    """Every n-th window, so that they have about the wanted number of samples together; all windows if they are few."""
+    step = max(round(_sample_count(windows) / wanted_samples), 1)
+    return list(windows[::step])
 
 
-def _channels_within(channels: Mapping[str, Channel], intervals: Sequence[tuple[float, float]]) -> dict[str, Channel]:
-    """Channels with their values in some intervals of time [s], and the last before and the first after each.
+def _sample_count(ranges: Sequence[slice]) -> int:
+    """Number of samples in ranges."""
+    return sum(part.stop - part.start for part in ranges)
 
-    A flag keeps a value until the next, however late that is.
+
+def _channels_around(channels: Mapping[str, Channel], intervals: Sequence[tuple[float, float]]) -> dict[str, Channel]:
+    """Channels with their values in some intervals of time [s], and the nearest before and after each.
+
+    A flag keeps a value until the next, however late that is; other channels are interpolated.
     """
     kept = {}
     for name, channel in channels.items():
-        is_within = np.zeros(len(channel.t), dtype=bool)
+        is_kept = np.zeros(len(channel.t), dtype=bool)
         for first, last in intervals:
-            start = int(np.searchsorted(channel.t, first, side="right")) - 1
-            stop = int(np.searchsorted(channel.t, last)) + 1
-            is_within[max(start, 0) : stop] = True
-        kept[name] = Channel(channel.t[is_within], channel.x[is_within])
+            latest_before = int(np.searchsorted(channel.t, first, side="right")) - 1
+            next_after = int(np.searchsorted(channel.t, last))
+            is_kept[max(latest_before, 0) : next_after + 1] = True
+        kept[name] = Channel(channel.t[is_kept], channel.x[is_kept])
     return kept
 
 
 def duration_of(log: JointLog) -> float:
     """Time that a log's samples cover, gaps left out [s]."""
-    return float(sum(segment.stop - segment.start for segment in log.segments) * log.dt)
+    return float(_sample_count(log.segments) * log.dt)
 
 
-def seconds_within(log: JointLog, size: int) -> float:
-    """Time for which a log's samples, without its channels, take as many bytes [s]."""
-    numbers = 1 + sum(values.shape[1] for values in log.signals.values())
-    return float(size / (8 * numbers) * log.dt)
+def seconds_that_fit(log: JointLog, size: int) -> float:
+    """Time [s] of a log's samples, its channels left out, that fit into a memory of a size [bytes]."""
+    numbers_per_sample = 1 + sum(values.shape[1] for values in log.signals.values())
+    bytes_per_sample = _NUMBER_BYTES * numbers_per_sample
+    return float(size / bytes_per_sample * log.dt)

@@ -1,10 +1,9 @@
-"""Excerpts of logs in reductions: what a diagnosis has of logs that it does not read."""
+"""Choice of the excerpts in reductions that a diagnosis searches in place of the logs."""
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,8 +16,8 @@ from idtool.estimation.dataset.row_settings import first_difference
 from idtool.estimation.saved_reduction import SavedReduction
 from idtool.robot.config import Config
 
-_MAX_SECONDS = 180.0  # of the excerpts of all logs together, that are used
-_WHOLE = 0.95  # share of the logs from which on excerpts are as good as all of them
+_MAX_SECONDS = 180.0  # that are searched, of the excerpts of all logs together
+_MIN_SHARE = 0.95  # of the reduced time, that excerpts must have to be as good as all of the logs
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,7 @@ class Excerpts:
     Attributes
     ----------
     training, validation
-        Excerpts of each reduction, in the order of the reductions; of many logs, only some have one.
+        Excerpts of each reduction, in the order of the reductions. If there are many logs, those of some are left out.
     notices
         A notice about how little of the logs they are, if all of the logs would tell more.
     """
@@ -38,76 +37,87 @@ class Excerpts:
     notices: tuple[Notice, ...]
 
 
-def read_excerpts(
+def choose_excerpts(
     training: Sequence[tuple[Path, SavedReduction]],
     validation: Sequence[tuple[Path, SavedReduction]],
     config: Config,
 ) -> Excerpts:
-    """Excerpts in reductions; of many logs, some, evenly chosen.
+    """Choose the excerpts that are searched: all, or if there are many logs, those of every n-th.
 
     Parameters
     ----------
     training, validation
-        Reductions for the fit and for validation, with their files or with the logs that they are of.
+        Reductions for the fit and for validation, each with its file, or with its log if a cluster made it.
     config
-        The configuration, which must not read logs in another way.
+        The configuration; its options for reading logs must be those of the reductions.
 
     Raises
     ------
     LogError
         If one has no excerpts, or was made with other settings for reading logs.
     """
-    for path, reduction in (*training, *validation):
-        _check_reading(path, reduction, config)
-        _check_excerpts(path, reduction)
-    logs = [log for _, reduction in (*training, *validation) for log in reduction.logs]
-    seconds = sum(duration_of(log.excerpt) for log in logs if log.excerpt)
-    step = max(math.ceil(seconds / _MAX_SECONDS), 1)
-    chosen_training = _every_nth_excerpt([reduction for _, reduction in training], step)
-    chosen_validation = _every_nth_excerpt([reduction for _, reduction in validation], step)
-    chosen = [excerpt for of_reduction in (*chosen_training, *chosen_validation) for excerpt in of_reduction]
-    used_seconds = sum(map(duration_of, chosen))
-    return Excerpts(chosen_training, chosen_validation, tuple(_notices(used_seconds, _reduced_seconds(logs))))
+    every = (*training, *validation)
+    for path, reduction in every:
+        _check_log_settings(path, reduction, config)
+    training_excerpts = [_excerpts_in(path, reduction) for path, reduction in training]
+    validation_excerpts = [_excerpts_in(path, reduction) for path, reduction in validation]
+    available_seconds = _total_duration([*training_excerpts, *validation_excerpts])
+    step = max(math.ceil(available_seconds / _MAX_SECONDS), 1)
+    chosen_training = _every_nth(training_excerpts, step)
+    chosen_validation = _every_nth(validation_excerpts, step)
+    used_seconds = _total_duration([*chosen_training, *chosen_validation])
+    reduced_seconds = sum(_reduced_seconds(log) for _, reduction in every for log in reduction.logs)
+    notices: tuple[Notice, ...] = ()
+    if used_seconds < _MIN_SHARE * reduced_seconds:
+        notices = (_shortness_notice(used_seconds, reduced_seconds),)
+    return Excerpts(chosen_training, chosen_validation, notices)
 
 
-def _every_nth_excerpt(reductions: Sequence[SavedReduction], step: int) -> tuple[tuple[JointLog, ...], ...]:
-    """The excerpt of every so many-th log, the first included, by reduction."""
-    number = itertools.count()
+def _excerpts_in(path: Path, reduction: SavedReduction) -> list[JointLog]:
+    """Excerpt of each log of a reduction; LogError if it lacks one."""
+    excerpts = []
+    for log in reduction.logs:
+        if log.excerpt is None:
+            raise LogError(path, f"has no excerpt of {log.name}; make it again with idtool reduce")
+        excerpts.append(log.excerpt)
+    return excerpts
+
+
+def _total_duration(by_reduction: Sequence[Sequence[JointLog]]) -> float:
+    """Duration of all excerpts together [s]."""
+    return sum(duration_of(excerpt) for excerpts in by_reduction for excerpt in excerpts)
+
+
+def _every_nth(by_reduction: Sequence[Sequence[JointLog]], step: int) -> tuple[tuple[JointLog, ...], ...]:
+    """The first excerpt of all, and every n-th after it, by reduction."""
     chosen = []
-    for reduction in reductions:
-        own = [log.excerpt for log in reduction.logs if next(number) % step == 0]
-        chosen.append(tuple(excerpt for excerpt in own if excerpt is not None))
+    count_before = 0
+    for excerpts in by_reduction:
+        first = -count_before % step
+        chosen.append(tuple(excerpts[first::step]))
+        count_before += len(excerpts)
     return tuple(chosen)
 
 
-def _reduced_seconds(logs: Sequence[ReducedLog]) -> float:
-    """Time of the logs that were reduced [s]."""
-    seconds = 0.0
-    for log in logs:
-        samples = sum(part.samples for part in (*log.train, *log.held_out))
-        seconds += samples * (log.excerpt.dt if log.excerpt else 0.0)
-    return seconds
+def _reduced_seconds(log: ReducedLog) -> float:
+    """Time of a log that was reduced, of which its excerpt is a part [s]."""
+    if log.excerpt is None:
+        return 0.0
+    samples = sum(part.samples for part in (*log.train, *log.held_out))
+    return samples * log.excerpt.dt
 
 
-def _notices(used_seconds: float, reduced_seconds: float) -> Iterator[Notice]:
-    """Notice about how little of the logs is used."""
-    if used_seconds < _WHOLE * reduced_seconds:
-        message = f"samples of {used_seconds:.0f} s are used, of the {reduced_seconds:.0f} s that were reduced"
-        advice = "an effect that shows only at times may be missed; give the log in which you expect it"
-        yield Notice("excerpts_used", "note", None, message, advice)
+def _shortness_notice(used_seconds: float, reduced_seconds: float) -> Notice:
+    """Notice about how little of the logs is searched."""
+    message = f"only {used_seconds:.0f} s of the {reduced_seconds:.0f} s in the reductions are searched"
+    advice = "a brief effect may be missed; run this on the log where you expect it"
+    return Notice("excerpts_used", "note", None, message, advice)
 
 
-def _check_excerpts(path: Path, reduction: SavedReduction) -> None:
-    """Refuse a reduction that lacks the excerpt of a log."""
-    for log in reduction.logs:
-        if log.excerpt is None:
-            raise LogError(path, f"has no samples of {log.name}; make it again with idtool reduce")
-
-
-def _check_reading(path: Path, reduction: SavedReduction, config: Config) -> None:
+def _check_log_settings(path: Path, reduction: SavedReduction, config: Config) -> None:
     """Refuse a reduction of logs that were read with other settings."""
     settings = config.model_dump(mode="json", include={"log"})
     difference = first_difference({"log": reduction.settings.get("log")}, settings)
     if difference is not None:
         key, _, _ = difference
-        raise LogError(path, f"was made with another {key}; make it again with idtool reduce")
+        raise LogError(path, f"was made with another {key} in the configuration; make it again with idtool reduce")

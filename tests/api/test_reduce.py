@@ -258,7 +258,7 @@ def test_a_diagnosis_of_long_logs_uses_windows_of_them(tmp_path: Path, monkeypat
     assert step.parameters["stiffness"] == pytest.approx(3.0, rel=0.05)
     assert not [fault for fault in result.data_faults if fault.fault == "dropped_samples"]
     (notice,) = [notice for notice in result.notices if notice.code == "excerpts_used"]
-    assert notice.message.startswith("samples of 10 s are used, of the ")
+    assert notice.message.startswith("only 10 s of the ")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("idtool.estimation.reduction_excerpts._MAX_SECONDS", 5.0)
         of_one = package.diagnose(LEG, tmp_path / "both.idr", **SEARCH)
@@ -302,7 +302,7 @@ def test_an_empty_channel_is_written(reduction: Path, tmp_path: Path) -> None:
 
 def test_reductions_without_samples_and_of_logs_read_otherwise_are_refused(reduction: Path, tmp_path: Path) -> None:
     write_reduction(tmp_path / "none.idr", read_reduction(reduction))
-    with pytest.raises(package.LogError, match=r"has no samples of leg_train\.mcap; make it again with idtool reduce"):
+    with pytest.raises(package.LogError, match=r"has no excerpt of leg_train\.mcap; make it again with idtool reduce"):
         package.diagnose(LEG, tmp_path / "none.idr")
     scaled = package.Model(LEG, settings(log={"scale": {"tau": {"hip": 2.0}}}))
     with pytest.raises(package.LogError, match=r"was made with another log\.scale"):

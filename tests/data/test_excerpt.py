@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from paths import SAMPLES
 
-from idtool.data.excerpt import duration_of, excerpt_of, seconds_within
+from idtool.data.excerpt import duration_of, excerpt_of, seconds_that_fit
 from idtool.data.inspection.clock import gaps
 from idtool.data.logs import JointLog, make_log, read_log
 from idtool.data.logs.log import Channel
@@ -70,7 +70,7 @@ def test_time_between_the_windows_is_not_lost(log: JointLog) -> None:
 
 def test_memory_of_a_time(log: JointLog) -> None:
     arrays = [log.t, *log.signals.values()]
-    assert seconds_within(log, sum(array.nbytes for array in arrays)) == pytest.approx(len(log) * log.dt)
+    assert seconds_that_fit(log, sum(array.nbytes for array in arrays)) == pytest.approx(len(log) * log.dt)
 
 
 def test_a_flag_keeps_its_value_however_long_ago_it_was_set(log: JointLog) -> None:

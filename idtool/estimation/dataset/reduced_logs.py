@@ -10,7 +10,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.data.batches import Batches
-from idtool.data.excerpt import excerpt_of, seconds_within
+from idtool.data.excerpt import excerpt_of, seconds_that_fit
 from idtool.data.logs import JointLog
 from idtool.data.signals import Batch
 from idtool.dynamics.regressor import LinearModel
@@ -189,7 +189,7 @@ def reduce_logs(
 
 def _excerpt(log: JointLog, log_count: int) -> JointLog:
     """Excerpt of one of so many logs, at the rate and with the signals of that log."""
-    of_all_logs = float(np.clip(seconds_within(log, _EXCERPT_BYTES), *_EXCERPT_SECONDS))
+    of_all_logs = float(np.clip(seconds_that_fit(log, _EXCERPT_BYTES), *_EXCERPT_SECONDS))
     return excerpt_of(log, of_all_logs / log_count, _WINDOW_SECONDS)
 
 
