@@ -11,9 +11,10 @@ Shapes: nv joints, N samples at the logged rate, n samples after decimation. Uni
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -32,6 +33,8 @@ from idtool.data.logs.log import JointLog
 from idtool.data.logs.times import suspected_unit
 from idtool.data.wrench_channels import WrenchChannels
 from idtool.robot.config import Config
+
+Value = TypeVar("Value")
 
 BATCH_SAMPLES = 8192  # samples
 WIDE_BAND_FACTOR = 5.0  # the signals' own filter, in units of the band
@@ -99,6 +102,25 @@ class Motion:
     recording: str = ""
     contacts: ContactSamples | None = None
     unknown_torque: tuple[int, ...] = ()
+    _evaluated: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def once(self, key: Hashable, evaluate: Callable[[], Value]) -> Value:
+        """Value of a key, which several parts of a model need along this motion: evaluated when it is first asked for.
+
+        It is kept as long as the motion, if that is not kept itself for other models: that would take much memory.
+
+        Parameters
+        ----------
+        key
+            What it is a value of.
+        evaluate
+            Function that gives it.
+        """
+        if self.kept_columns is not None:
+            return evaluate()
+        if key not in self._evaluated:
+            self._evaluated[key] = evaluate()
+        return cast("Value", self._evaluated[key])
 
     @property
     def is_log(self) -> bool:

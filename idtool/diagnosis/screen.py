@@ -562,9 +562,8 @@ def _filtered(
     kept, keys
         Where filtered columns are kept, and under which keys, by first index.
     """
-    rows, filtered = row_filter.filter_columns_of_row(
-        joint, np.concatenate([columns for _, columns in started_columns])
-    )
+    columns = np.concatenate([columns for _, columns in started_columns])
+    rows, filtered = row_filter.filter_columns(np.array([joint]), columns[None])
     if kept is not None:
         _keep(started_columns, filtered[0], kept, keys)
     return rows, _indices(started_columns), filtered
@@ -584,12 +583,9 @@ def _filtered_together(
     row_filter
         What takes them to the band.
     """
-    nv = len(row_filter.shares)
-    k, count = next(iter(by_joint.values())).shape
-    in_all_rows = np.zeros((nv, k, count))
-    for joint, columns in by_joint.items():
-        in_all_rows[joint] = columns
-    return np.arange(nv), start + np.arange(k), row_filter.filter_rows(in_all_rows)
+    columns = np.stack(list(by_joint.values()))
+    rows, filtered = row_filter.filter_columns(np.array(list(by_joint)), columns)
+    return rows, start + np.arange(columns.shape[1]), filtered
 
 
 def _keep(

@@ -24,17 +24,18 @@ Shapes: nv generalized coordinates, N samples, k components of unknown contact f
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from idtool.common.arrays import Array, Mask
+from idtool.common.arrays import Array, Indices, Mask
+from idtool.data.column_cache import IdentityKey
 from idtool.data.contact_channels import ContactSamples
 from idtool.data.signals import Motion
 from idtool.robot.config import Contact
-from idtool.robot.kinematics import BodyJacobian, BodyMotion, body_jacobians, body_motions, cross, rotate
+from idtool.robot.kinematics import BodyJacobian, BodyMotion, body_motions, cross, jacobians_of, rotate
 from idtool.robot.model import RobotModel
 
 # Added to the diagonal of the Gram matrix of unit vectors, which is singular where some combination of contact forces
@@ -108,8 +109,7 @@ class ContactModel:
         if not measured or motion.contacts is None:
             return generalized_force
         contact_samples = motion.contacts
-        motions = self._body_motions(motion)
-        jacobians = body_jacobians(self.model, motions)
+        motions, jacobians = self._kinematics(motion)
         for i in measured:
             contact = self.contacts[i]
             body = self.model.frames[contact.link].body
@@ -136,26 +136,27 @@ class ContactModel:
         -------
         Shape (N, nv, nv), for whitened rows.
         """
-        off_friction = self._projector_off_friction(unknown_friction, motion.q.shape[1])
+        projector = self._projector_off_friction(unknown_friction, motion.q.shape[1])
         directions = self.unknown_directions(motion)
-        if not len(directions):
-            return off_friction
-        unit, _ = _unit_directions(self._whitened(directions) @ off_friction)
-        onto_contacts = unit.transpose(0, 2, 1) @ np.linalg.solve(_gram(unit), unit)
-        return np.asarray(off_friction - onto_contacts)
+        for exerted, samples in _exerted_together(directions):
+            off_friction = projector[samples]
+            whitened = self._whitened(directions[exerted][:, :, samples])
+            unit, _ = _unit_directions(whitened @ off_friction)
+            onto_contacts = unit.transpose(0, 2, 1) @ np.linalg.solve(_gram(unit), unit)
+            projector[samples] = off_friction - onto_contacts
+        return projector
 
     def _projector_off_friction(self, unknown_friction: Mapping[int, Mask], count: int) -> Array:
         """Orthogonal projector onto what unknown friction of joints does not exert, shape (N, nv, nv)."""
         nv = len(self.noise)
-        is_unknown = np.zeros((count, nv), dtype=bool)
+        is_unknown = np.zeros((nv, count), dtype=bool)
         for joint, mask in unknown_friction.items():
-            is_unknown[:, joint] = mask
-        patterns, pattern_of_sample = np.unique(is_unknown, axis=0, return_inverse=True)
-        projectors = np.empty((len(patterns), nv, nv))
-        for projector, joints in zip(projectors, patterns, strict=True):
+            is_unknown[joint] = mask
+        projector = np.empty((count, nv, nv))
+        for joints, samples in _samples_by_pattern(is_unknown):
             Q, _ = np.linalg.qr(self._decorrelation[:, joints])
-            projector[:] = np.eye(nv) - Q @ Q.T
-        return np.asarray(projectors[pattern_of_sample.ravel()])
+            projector[samples] = np.eye(nv) - Q @ Q.T
+        return projector
 
     def _whitened(self, rows: Array) -> Array:
         """Whitened rows by sample, from shape (k, nv, N) to (N, k, nv)."""
@@ -173,12 +174,13 @@ class ContactModel:
         residual
             Torque less Y pi, shape (nv, N).
         """
-        if not len(directions):
-            return np.zeros((0, residual.shape[1]))
-        unit, length = _unit_directions(self._whitened(directions))
-        whitened = self._whitened(residual[None]).transpose(0, 2, 1)
-        along_unit = np.linalg.solve(_gram(unit), unit @ whitened)[:, :, 0]
-        return np.asarray(-(along_unit / length[:, :, 0]).T)
+        forces = np.zeros((len(directions), residual.shape[1]))
+        for exerted, samples in _exerted_together(directions):
+            unit, length = _unit_directions(self._whitened(directions[exerted][:, :, samples]))
+            whitened = self._whitened(residual[None, :, samples]).transpose(0, 2, 1)
+            along_unit = np.linalg.solve(_gram(unit), unit @ whitened)[:, :, 0]
+            forces[exerted[:, None], samples] = -(along_unit / length[:, :, 0]).T
+        return forces
 
     def gains(self, projector: Array) -> Array:
         """Matrices that take rows of (1) to rows without what unknown forces can exert, shape (N, nv, nv).
@@ -198,13 +200,17 @@ class ContactModel:
 
         It is 0 at samples at which the contact is open.
         """
+        key = ("unknown directions", IdentityKey(self.model), self.contacts)
+        return motion.once(key, lambda: self._evaluated_directions(motion))
+
+    def _evaluated_directions(self, motion: Motion) -> Array:
+        """`unknown_directions`, evaluated."""
         unknown = [i for i, contact in enumerate(self.contacts) if not contact.is_measured]
         nv, count = motion.q.shape
         if not unknown:
             return np.zeros((0, nv, count))
         contact_samples = contacts_of(motion)
-        motions = self._body_motions(motion)
-        jacobians = body_jacobians(self.model, motions)
+        motions, jacobians = self._kinematics(motion)
         directions = []
         for i in unknown:
             contact = self.contacts[i]
@@ -232,8 +238,7 @@ class ContactModel:
             Largest normal force of a contact [N]; more counts as this.
         """
         contact_samples = contacts_of(motion)
-        motions = self._body_motions(motion)
-        jacobians = body_jacobians(self.model, motions)
+        motions, jacobians = self._kinematics(motion)
         torque = np.zeros_like(motion.tau)
         first = 0  # index of the first component of the next unknown contact
         for i, contact in enumerate(self.contacts):
@@ -255,10 +260,16 @@ class ContactModel:
             torque[jacobians[body].coordinates] += np.einsum("icn,in->cn", J_angular, moment)
         return torque
 
-    def _body_motions(self, motion: Motion) -> Sequence[BodyMotion]:
-        """Motion of every body without its rates: Jacobians depend on q alone."""
-        zero_rates = np.zeros_like(motion.q)
-        return body_motions(self.model, motion.q, zero_rates, zero_rates)
+    def _kinematics(self, motion: Motion) -> tuple[Sequence[BodyMotion], Mapping[int, BodyJacobian]]:
+        """Motion of every body without its rates, and Jacobians, which do not depend on them, of those in contact."""
+        bodies = tuple(self.model.frames[contact.link].body for contact in self.contacts)
+
+        def evaluate() -> tuple[Sequence[BodyMotion], Mapping[int, BodyJacobian]]:
+            zero_rates = np.zeros_like(motion.q)
+            motions = body_motions(self.model, motion.q, zero_rates, zero_rates)
+            return motions, jacobians_of(self.model, motions, bodies)
+
+        return motion.once(("contact kinematics", IdentityKey(self.model), bodies), evaluate)
 
     def _contact_jacobian(
         self,
@@ -282,7 +293,8 @@ class ContactModel:
 
     def up_of(self, contact: Contact, motion: Motion) -> Array:
         """The vertical along the axes of the body that a contact acts on, shape (3, N) or (3, 1)."""
-        return self._up_in_body(self.model.frames[contact.link].body, self._body_motions(motion), contacts_of(motion))
+        motions, _ = self._kinematics(motion)
+        return self._up_in_body(self.model.frames[contact.link].body, motions, contacts_of(motion))
 
     def _up_in_body(self, body: int, motions: Sequence[BodyMotion], contact_samples: ContactSamples) -> Array:
         """The vertical along the axes of a body, shape (3, N) or (3, 1)."""
@@ -321,10 +333,31 @@ def _within_friction_cone(tangential: Array, load: Array) -> Array:
     return np.asarray(tangential * np.minimum(share, 1.0))
 
 
+def _exerted_together(directions: Array) -> Iterator[tuple[Indices, Indices]]:
+    """Components of unknown forces and the samples at which exactly these can act, of directions of shape (k, nv, N).
+
+    Samples at which none can are left out.
+    """
+    for can_act, samples in _samples_by_pattern(np.asarray(directions.any(axis=1))):
+        if can_act.any():
+            yield np.flatnonzero(can_act), samples
+
+
+def _samples_by_pattern(mask: Mask) -> Iterator[tuple[Mask, Indices]]:
+    """Columns of a mask of shape (k, N), each different one once, and where it is so; for few changes along time."""
+    is_change = (mask[:, 1:] != mask[:, :-1]).any(axis=0)
+    stretches: dict[bytes, list[Indices]] = {}
+    for samples in np.split(np.arange(mask.shape[1]), np.flatnonzero(is_change) + 1):
+        pattern = mask[:, samples[0]]
+        stretches.setdefault(pattern.tobytes(), []).append(samples)
+    for parts in stretches.values():
+        yield mask[:, parts[0][0]], np.concatenate(parts)
+
+
 def _unit_directions(whitened: Array) -> tuple[Array, Array]:
     """Directions in whitened rows, of unit length, shape (N, k, nv), and their lengths before, (N, k, 1)."""
     length = np.linalg.norm(whitened, axis=2, keepdims=True)
-    length[length == 0] = 1.0  # of an open contact, which exerts nothing
+    length[length == 0] = 1.0  # of a force that acts only on joints with unknown friction
     return whitened / length, length
 
 

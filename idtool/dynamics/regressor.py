@@ -638,15 +638,12 @@ def _projected_columns_of(effect: Effect, motion: Motion, row_filter: RowFilter)
         columns = effect_columns(effect, motion)
         nv, m, n = len(columns), len(effect.coefficients), len(row_filter.batch.t)
         filtered = np.zeros((nv, m, n))
-        own_rows = [row for row, active in enumerate(effect.active) if len(active)]
-        if len(own_rows) == 1:
-            (row,) = own_rows
-            rows, in_rows = row_filter.filter_columns_of_row(row, columns[row])
-            filtered[np.ix_(rows, effect.active[row])] = in_rows
-            return (filtered,)
-        for first in range(0, m, _PROJECTED_TOGETHER):
-            chosen = range(first, min(first + _PROJECTED_TOGETHER, m))
-            filtered[:, chosen.start : chosen.stop] = row_filter.filter_rows(_rows_of(effect, columns, chosen))
+        for rows, together in _columns_by_rows(effect):
+            for first in range(0, len(together), _PROJECTED_TOGETHER):
+                chosen = together[first : first + _PROJECTED_TOGETHER]
+                in_rows = [columns[row][np.searchsorted(effect.active[row], chosen)] for row in rows]
+                reached, in_reached = row_filter.filter_columns(rows, np.stack(in_rows))
+                filtered[np.ix_(reached, chosen)] = in_reached
         return (filtered,)
 
     kept = kept_columns_of(effect, motion)
@@ -656,13 +653,14 @@ def _projected_columns_of(effect: Effect, motion: Motion, row_filter: RowFilter)
     return filtered
 
 
-def _rows_of(effect: Effect, columns: Sequence[Array], chosen: range) -> Array:
-    """Some of an effect's columns in the rows of all joints, shape (nv, len(chosen), N); 0 where it is not active."""
-    rows = np.zeros((len(columns), len(chosen), columns[0].shape[1]))
-    for row, active, own in zip(rows, effect.active, columns, strict=True):
-        is_chosen = (active >= chosen.start) & (active < chosen.stop)
-        row[active[is_chosen] - chosen.start] = own[is_chosen]
-    return rows
+def _columns_by_rows(effect: Effect) -> Iterator[tuple[Indices, Indices]]:
+    """Rows of some joints, and the columns of an effect that appear in exactly these; so all its columns, in groups."""
+    appears = np.zeros((len(effect.active), len(effect.coefficients)), dtype=bool)
+    for row, active in zip(appears, effect.active, strict=True):
+        row[active] = True
+    patterns, pattern_of_column = np.unique(appears, axis=1, return_inverse=True)
+    for i, pattern in enumerate(patterns.T):
+        yield np.flatnonzero(pattern), np.flatnonzero(pattern_of_column.ravel() == i)
 
 
 def _torque(effect: Effect, theta: Array, motion: Motion) -> Array:

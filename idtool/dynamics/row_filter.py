@@ -23,6 +23,7 @@ from idtool.dynamics.contact_model import ContactModel
 Shares = Sequence[Array] | Sequence[Mask]  # per row, the share of each filtered sample that counts, shape (n,)
 
 _MIN_SHARE = 1e-6  # of a row; less is rounding of the projection
+_SAMPLES_TOGETHER = 128  # whose matrices, rows and products fit in a processor's cache
 
 
 class RowFilter(ABC):
@@ -49,19 +50,19 @@ class RowFilter(ABC):
         """Filtered rows of all coordinates, from shape (nv, ..., N) to (nv, ..., n)."""
 
     @abstractmethod
-    def filter_columns_of_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
-        """Filtered columns that are nonzero in one row only.
+    def filter_columns(self, rows: Indices, columns: Array) -> tuple[Indices, Array]:
+        """Filtered columns that are nonzero in some rows only.
 
         Parameters
         ----------
-        row
-            The row.
+        rows
+            The k rows.
         columns
-            The columns in it, shape (m, N).
+            The columns in them, shape (k, m, N).
 
         Returns
         -------
-        The k rows in which they appear, and the filtered columns in these, shape (k, m, n).
+        The r rows in which they appear behind the filter, and the filtered columns in these, shape (r, m, n).
         """
 
 
@@ -88,8 +89,8 @@ class SeparateRows(RowFilter):
         return self.batch.filter(rows)
 
     @override
-    def filter_columns_of_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
-        return np.array([row]), self.batch.filter(columns)[None]
+    def filter_columns(self, rows: Indices, columns: Array) -> tuple[Indices, Array]:
+        return rows, self.batch.filter(columns)
 
 
 @dataclass(frozen=True)
@@ -137,18 +138,22 @@ class ProjectedRows(RowFilter):
         """Matrices that take rows to projected rows, shape (N, nv, nv)."""
         return self.contacts.gains(self.projector)
 
+    @cached_property
+    def _is_nonzero(self) -> Mask:
+        """True for entries of the gains that are nonzero at any sample, shape (nv, nv)."""
+        return np.asarray(self._gains.any(axis=0))
+
     @override
     def filter_rows(self, rows: Array) -> Array:
         return self.batch.filter(multiply_by_sample(self._gains, rows))
 
     @override
-    def filter_columns_of_row(self, row: int, columns: Array) -> tuple[Indices, Array]:
-        gains = self._gains[:, :, row]  # (N, nv)
-        rows = np.flatnonzero(gains.any(axis=0))
-        filtered = np.empty((len(rows), len(columns), len(self.batch.t)))
-        for out, gain in zip(filtered, gains[:, rows].T, strict=True):
-            out[:] = self.batch.filter(columns * gain)
-        return rows, filtered
+    def filter_columns(self, rows: Indices, columns: Array) -> tuple[Indices, Array]:
+        reached = np.flatnonzero(self._is_nonzero[:, rows].any(axis=1))
+        if not len(reached):  # unknown forces explain all of the rows
+            return reached, np.empty((0, columns.shape[1], len(self.batch.t)))
+        gains = self._gains[:, reached[:, None], rows]
+        return reached, self.batch.filter(multiply_by_sample(gains, columns))
 
 
 def multiply_by_sample(matrices: Array, rows: Array) -> Array:
@@ -157,16 +162,22 @@ def multiply_by_sample(matrices: Array, rows: Array) -> Array:
     Parameters
     ----------
     matrices
-        Shape (N, nv, nv).
+        Shape (N, r, k).
     rows
-        Shape (nv, ..., N).
+        Shape (k, ..., N).
 
     Returns
     -------
-    The shape of the rows.
+    Shape (r, ..., N).
     """
-    nv, count = len(rows), rows.shape[-1]
-    by_sample = np.moveaxis(rows.reshape(nv, -1, count), -1, 0)  # (N, nv, columns)
-    product = matrices @ by_sample
-    in_time = np.ascontiguousarray(np.moveaxis(product, 0, -1))  # which a filter reads along
-    return in_time.reshape(rows.shape)
+    r, k = matrices.shape[1:]
+    columns_and_time = rows.shape[1:]
+    signals = rows.reshape(-1, columns_and_time[-1])  # (k m, N)
+    products = np.empty((r * (len(signals) // k), signals.shape[1]))
+    for first in range(0, signals.shape[1], _SAMPLES_TOGETHER):
+        part = slice(first, first + _SAMPLES_TOGETHER)
+        own_matrices = np.ascontiguousarray(matrices[part])
+        by_sample = np.ascontiguousarray(signals[:, part].T).reshape(len(own_matrices), k, -1)
+        own_products = own_matrices @ by_sample
+        products[:, part] = own_products.reshape(len(own_products), -1).T
+    return products.reshape(r, *columns_and_time)

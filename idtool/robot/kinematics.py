@@ -8,7 +8,7 @@ of length 1 stands for all samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -70,6 +70,10 @@ class BodyJacobian:
     coordinates: Indices
 
 
+_NO_COLUMNS = np.zeros((3, 0, 1))
+_GROUND = BodyJacobian(_NO_COLUMNS, _NO_COLUMNS, np.zeros(0, dtype=np.intp))
+
+
 def cross(a: Array, b: Array) -> Array:
     """Cross product along the first axis; much faster than numpy's for long last axes."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
@@ -106,18 +110,27 @@ def body_jacobians(model: RobotModel, motions: Sequence[BodyMotion]) -> list[Bod
     return list(iterate_jacobians(model, motions))
 
 
+def jacobians_of(model: RobotModel, motions: Sequence[BodyMotion], bodies: Iterable[int]) -> dict[int, BodyJacobian]:
+    """The Jacobians of some bodies, by their indices, and of those that carry them; much less work than of all."""
+    chosen: set[int] = set()
+    for body in bodies:
+        while body >= 0 and body not in chosen:
+            chosen.add(body)
+            body = model.bodies[body].mount.body
+    jacobians = {-1: _GROUND}
+    support = model.support()
+    for body in sorted(chosen):
+        parent = jacobians[model.bodies[body].mount.body]
+        jacobians[body] = _jacobian(model.bodies[body], motions[body], parent, np.flatnonzero(support[body]))
+    return jacobians
+
+
 def iterate_jacobians(model: RobotModel, motions: Sequence[BodyMotion]) -> Iterator[BodyJacobian]:
     """The Jacobian of one body after the other; those that no later body is mounted on are not kept in memory."""
-    no_columns = np.zeros((3, 0, 1))
-    jacobians = {-1: BodyJacobian(no_columns, no_columns, np.zeros(0, dtype=np.intp))}
+    jacobians = {-1: _GROUND}
     last_child = {body.mount.body: i for i, body in enumerate(model.bodies)}
     for i, (body, motion, support) in enumerate(zip(model.bodies, motions, model.support(), strict=True)):
-        coordinates = np.flatnonzero(support)
-        if body.is_base:
-            identity = np.eye(6)[:, :, None]
-            jacobian = BodyJacobian(identity[3:], identity[:3], coordinates)
-        else:
-            jacobian = _moved_jacobian(body, motion, jacobians[body.mount.body], coordinates)
+        jacobian = _jacobian(body, motion, jacobians[body.mount.body], np.flatnonzero(support))
         if last_child.get(body.mount.body) == i:
             del jacobians[body.mount.body]
         if i in last_child:
@@ -205,6 +218,14 @@ def _propagate(body: Body, parent: BodyMotion, phi: Array, dphi: Array, ddphi: A
         alpha = alpha + axis * ddphi + cross(w, spin)
         w = w + spin
     return BodyMotion(R, p, w, alpha, acc)
+
+
+def _jacobian(body: Body, motion: BodyMotion, parent: BodyJacobian, coordinates: Indices) -> BodyJacobian:
+    """A body's Jacobian from its parent's, which a floating base does not have."""
+    if body.is_base:
+        identity = np.eye(6)[:, :, None]
+        return BodyJacobian(identity[3:], identity[:3], coordinates)
+    return _moved_jacobian(body, motion, parent, coordinates)
 
 
 def _moved_jacobian(body: Body, motion: BodyMotion, parent: BodyJacobian, coordinates: Indices) -> BodyJacobian:

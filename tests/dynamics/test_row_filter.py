@@ -47,7 +47,7 @@ def equation_of(folder: Path, rng: Generator, *effects: EffectEntry) -> LinearMo
 
 
 @pytest.mark.parametrize("is_correlated", [False, True])
-def test_columns_of_one_row_are_filtered_as_those_of_all_rows(
+def test_columns_of_some_rows_are_filtered_as_those_of_all_rows(
     tmp_path: Path, rng: Generator, is_correlated: bool
 ) -> None:
     equation = equation_of(tmp_path, rng)
@@ -58,15 +58,16 @@ def test_columns_of_one_row_are_filtered_as_those_of_all_rows(
     batch = Batch(steady_motion(rng), 0, 0, LowPass(40.0, 4, STEP, 5))
     row_filter = equation.row_filter(batch)
     assert isinstance(row_filter, ProjectedRows)
-    columns = rng.normal(size=(3, SAMPLES))
-    in_all_rows = np.zeros((18, 3, SAMPLES))
-    in_all_rows[4] = columns
-    rows, filtered = row_filter.filter_columns_of_row(4, columns)
-    expected = row_filter.filter_rows(in_all_rows)
-    np.testing.assert_allclose(filtered, expected[rows], atol=1e-12)
-    others = np.setdiff1d(np.arange(18), rows)
-    np.testing.assert_allclose(expected[others], 0, atol=1e-12)
-    assert 4 in rows
+    for own_rows in ([4], [4, 13, 2]):
+        columns = rng.normal(size=(len(own_rows), 3, SAMPLES))
+        in_all_rows = np.zeros((18, 3, SAMPLES))
+        in_all_rows[own_rows] = columns
+        rows, filtered = row_filter.filter_columns(np.array(own_rows), columns)
+        expected = row_filter.filter_rows(in_all_rows)
+        np.testing.assert_allclose(filtered, expected[rows], atol=1e-12)
+        others = np.setdiff1d(np.arange(18), rows)
+        np.testing.assert_allclose(expected[others], 0, atol=1e-12)
+        assert set(own_rows) <= set(rows)
 
 
 def test_forces_that_explain_a_residual_are_those_that_made_it(tmp_path: Path, rng: Generator) -> None:
