@@ -43,11 +43,12 @@ return found;
 })().then(done, (error) => done({ wrong: [String(error)] }));"""
 
 
-# Where the robot's plot is, what it draws, and from where it is looked at.
-ROBOT = """const plot = document.querySelector("[data-robot]"), box = plot.getBoundingClientRect();
+# Where the identified robot's plot is, what it draws, and from where all of the robot's plots are looked at.
+ROBOT = """const plot = document.querySelector("[data-robot=found]"), box = plot.getBoundingClientRect();
 return {
   x: Math.round(box.left + box.width / 2), y: Math.round(box.top + box.height / 2),
   eye: plot._fullLayout.scene._scene.getCamera().eye,
+  eyes: [...document.querySelectorAll("[data-robot]")].map((each) => each._fullLayout.scene._scene.getCamera().eye),
   places: plot.data.map((trace) => trace.z.filter((z) => z !== null).slice(0, 400)),
 };"""
 LOOK = """document.querySelector("[data-robot]").scrollIntoView({ block: "center" });"""

@@ -108,7 +108,7 @@ def at_rest(opened: Browser) -> dict[str, Any]:
     "name", ["report.html", pytest.param("diagnosis.html", marks=pytest.mark.slow), AS_THE_REPORT[0]]
 )
 def test_the_robot_moves_and_turns(pages: Path, opened: Browser, name: str) -> None:
-    """The slider moves it, the mouse turns it, and it stays turned when it is moved again."""
+    """The slider moves it, the mouse turns it, the prior beside it too, and it stays turned when it is moved again."""
     opened.use(pages / name, 1400, False, "[data-robot]")
     opened.run(LOOK)
     first = opened.run(ROBOT)
@@ -119,6 +119,7 @@ def test_the_robot_moves_and_turns(pages: Path, opened: Browser, name: str) -> N
     opened.drag(moved["x"], moved["y"], 200)
     turned = at_rest(opened)
     assert np.linalg.norm(np.subtract(*([one["eye"][k] for k in "xyz"] for one in (turned, moved)))) > 0.2
+    assert all(eye == pytest.approx(turned["eye"], abs=1e-3) for eye in turned["eyes"])
     opened.run(MOVE, 0)
     again = opened.run(ROBOT)
     assert again["places"] == first["places"]

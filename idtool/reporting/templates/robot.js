@@ -1,16 +1,16 @@
-// The whole robot in 3D, as it stood at a time of the log.
+// The whole robot in 3D, as it stood at a time of the log: with the prior's bodies, and beside it with those found.
 (() => {
   const { color } = plots;
   const { columns, surface, solid, markers, layout, show } = solids;
   const { robot } = plots.data;
-  const plot = document.querySelector("[data-robot]");
-  if (!plot) return;
+  const views = [...document.querySelectorAll("[data-robot]")];
+  if (!views.length) return;
   const slider = document.getElementById("posture");
   const time = document.getElementById("posture-time");
   const axes = ["x", "y", "z"];
 
-  // What is drawn alike, of one body after the other in its own frame: [body, trace].
-  function groups() {
+  // What is drawn alike of some bodies, the prior's or those found, one after the other in its own frame: [body, trace].
+  function groups(which) {
     const found = new Map();
     const add = (group, body, traces) => found.set(group, [...(found.get(group) || []), ...traces.map((trace) => [body, trace])]);
     robot.bodies.forEach((body, b) => {
@@ -27,8 +27,8 @@
       }
       body.bounds.filter((shape) => shape.kind !== "hull").forEach((shape) =>
         add("bounding shape", b, solid(shape, "bounding shape", color("measured"), 0, "solid")));
-      spread(body.prior, "prior", color("prior"), 0, "dash");
-      spread(body.found, robot.shown, color("predicted"), 0.45, "solid");
+      if (which === "prior") spread(body.prior, "prior", color("prior"), 0.45, "solid");
+      else spread(body.found, robot.shown, color("predicted"), 0.45, "solid");
     });
     return [...found.values()];
   }
@@ -60,24 +60,41 @@
     return whole;
   }
 
-  let drawn, view; // as the page's colours and all postures have them
+  const drawn = new Map(); // by plot, its groups and its layout, as the page's colours and all postures have them
 
-  function draw() {
+  function draw(plot) {
     const every = Math.max(1, Math.floor(robot.frames.length / 8));
-    drawn = groups();
-    view = layout(robot.frames.flatMap((_, n) => (n % every ? [] : drawn.map((group) => posed(group, n)))), 520);
-    move();
+    const everywhere = views.flatMap((each) => groups(each.dataset.robot));
+    const inEveryPosture = robot.frames.flatMap((_, n) => (n % every ? [] : everywhere.map((group) => posed(group, n))));
+    const isFirst = !drawn.has(plot);
+    drawn.set(plot, { groups: groups(plot.dataset.robot), view: layout(inEveryPosture, plot.clientHeight) });
+    move(plot);
+    if (isFirst) ["plotly_relayouting", "plotly_relayout"].forEach((event) => plot.on(event, (change) => follow(plot, change)));
   }
+
+  const scene = (plot) => plot._fullLayout?.scene?._scene;
 
   // It is looked at from where it was: plotly.js would go back to where the mouse let go, from where it turned on.
-  function move() {
-    const camera = plot._fullLayout?.scene?._scene?.getCamera();
+  function move(plot) {
+    const { groups, view } = drawn.get(plot);
+    const camera = scene(plot)?.getCamera();
     Object.assign(view.scene, { uirevision: undefined, ...(camera ? { camera } : {}) });
     time.textContent = `${robot.t[slider.value]} s`;
-    show(plot, drawn.map((group) => posed(group, slider.value)), view);
+    show(plot, groups.map((group) => posed(group, slider.value)), view);
   }
 
-  slider.addEventListener("input", () => drawn && move());
-  plots.watch([plot], draw);
-  solids.copied(() => [plot]);
+  // All are looked at from the same place.
+  let following = false;
+
+  function follow(plot, change) {
+    const camera = change["scene.camera"];
+    if (following || !camera) return;
+    const others = [...drawn.keys()].filter((other) => other !== plot);
+    following = true;
+    Promise.all(others.map((other) => Plotly.relayout(other, { "scene.camera": camera }))).finally(() => { following = false; });
+  }
+
+  slider.addEventListener("input", () => [...drawn.keys()].forEach(move));
+  plots.watch(views, draw);
+  solids.copied(() => views);
 })();
