@@ -20,7 +20,7 @@ import sys
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from importlib.metadata import version
-from types import CodeType
+from types import CodeType, MappingProxyType
 from typing import Any, NamedTuple
 
 import jinja2
@@ -105,6 +105,7 @@ def render(
     scripts: list[str],
     data: Mapping[str, Any],
     folded: Collection[str] = (),
+    questions: Mapping[str, Collection[str]] = MappingProxyType({}),
     **context: object,
 ) -> str:
     """The page.
@@ -121,6 +122,8 @@ def render(
         Data of these scripts, for JSON; NaN is not allowed.
     folded
         Headings of the sections that show nothing else until they are opened.
+    questions
+        Headings of the sections that answer a question; the table of contents has a line for each question.
     context
         Variables of the templates, beside ``data``.
     """
@@ -147,10 +150,31 @@ def render(
         scripts=scripts,
         data=data,
         folded=folded,
+        contents=_contents(page_sections, questions),
         plotly=compressed_plotly(),
         **context,
     )
     return html.encode(errors="replace").decode()  # a path need not be text
+
+
+def heading(section: tuple[str, str | Sequence[Figure]] | Section[Any]) -> str:
+    """Heading of a section."""
+    return section[0] if isinstance(section, tuple) else section.title
+
+
+def _contents(
+    sections: Sequence[TemplateSection | Section[Any]], questions: Mapping[str, Collection[str]]
+) -> list[tuple[str, list[tuple[int, TemplateSection | Section[Any]]]]]:
+    """Lines of the table of contents: a question, and the numbered sections that answer it."""
+    numbered = list(enumerate(sections, start=1))
+    if not questions:
+        return [("", numbered)]
+    lines = []
+    for question, titles in questions.items():
+        answers = [(number, section) for number, section in numbered if section.title in titles]
+        if answers:
+            lines.append((question, answers))
+    return lines
 
 
 def code(text: str) -> Markup:

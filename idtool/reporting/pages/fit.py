@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Mapping
 from pathlib import Path
 
 from idtool.diagnosis.records import ProfilesByJoint
 from idtool.estimation.fit import Fit
 from idtool.estimation.problem.certificate import GAP, ROUNDING
 from idtool.reporting.number_text import rows_by_unit
-from idtool.reporting.pages.base import Sections, render
+from idtool.reporting.pages.base import Sections, heading, render
 from idtool.reporting.pages.bodies import report_views
 from idtool.reporting.pages.robot import ROBOT, robot_view, with_robot
 from idtool.reporting.pages.simulation import SIMULATION, simulation_view, with_simulation
@@ -50,34 +52,24 @@ _SOLVER = ("Solver", "solver.html")
 _ORIGIN = ("Origin of this report", "origin.html")
 _MODEL_NAMES = ("prior", "identified")
 _MODELS_TEXT = "the original URDF and of the identified model"
-_SECTIONS = (
-    ("Verdict", "verdict.html"),
-    ROBOT,
-    ("Findings", "fit_findings.html"),
-    TorqueErrorsSection(),
-    _ERRORS_BY_KIND,
-    _FLEET,
-    SIMULATION,
-    ("Measured and predicted torque", "torques.html"),
-    _RESIDUALS,
-    BodiesSection(),
-    _WHOLE_ROBOT,
-    FrictionSection(),
-    _EFFECTS,
-    _WRENCH_SENSORS,
-    _BODIES_IN_3D,
-    SOURCES,
-    REPEATABILITY,
-    BASE_PARAMETERS,
-    BIAS,
-    _PRIOR,
-    _SOLVER,
-    _ORIGIN,
-)
-_FOLDED = (
-    *(section[0] for section in (_RESIDUALS, _BODIES_IN_3D, SOURCES, _SOLVER, _ORIGIN)),
-    *(section.title for section in (BASE_PARAMETERS, BIAS, _PRIOR)),
-)
+_BY_QUESTION: Mapping[str, Sections] = {
+    "In short": (("Verdict", "verdict.html"), ROBOT, ("Findings", "fit_findings.html")),
+    "How good?": (
+        TorqueErrorsSection(),
+        _ERRORS_BY_KIND,
+        _FLEET,
+        SIMULATION,
+        ("Measured and predicted torque", "torques.html"),
+        _RESIDUALS,
+    ),
+    "Which parameters?": (BodiesSection(), _WHOLE_ROBOT, FrictionSection(), _EFFECTS, _WRENCH_SENSORS, _BODIES_IN_3D),
+    "What to believe?": (SOURCES, REPEATABILITY, BASE_PARAMETERS, BIAS),
+    "How was it made?": (_PRIOR, _SOLVER, _ORIGIN),
+}
+_SECTIONS = tuple(itertools.chain(*_BY_QUESTION.values()))
+_QUESTIONS = {question: tuple(map(heading, sections)) for question, sections in _BY_QUESTION.items()}
+_FOLDED_SECTIONS: Sections = (_RESIDUALS, _BODIES_IN_3D, SOURCES, BASE_PARAMETERS, BIAS, _PRIOR, _SOLVER, _ORIGIN)
+_FOLDED = tuple(map(heading, _FOLDED_SECTIONS))
 
 
 def fit_page(
@@ -126,6 +118,7 @@ def fit_page(
         ["solids.js", "robot.js", "bodies.js", "trust.js"],
         {**views, **robot},
         folded=_FOLDED,
+        questions=_QUESTIONS,
         report=report,
         verdict_text=LEVEL_TEXTS[report.verdict],
         groups=rows_by_unit(units),
