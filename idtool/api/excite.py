@@ -23,6 +23,7 @@ from idtool.common.notice import Notice
 from idtool.common.outputs import write_all
 from idtool.data.controller import with_unknown_torque
 from idtool.data.logs import JointLog, check_log_file, write_log
+from idtool.dynamics.armature import with_armature
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
@@ -407,6 +408,7 @@ def _make_task(
     else:
         moving = [joint.name for joint in robot.joints.values() if joint.kind != "fixed" and not joint.mimic]
         tree = build_model(robot, settings, moving)
+        settings = with_armature(settings, tree)
         contacts = None
         if standing is not None:
             contacts = ContactModel(tree, settings.contacts, np.ones(len(tree.names)))

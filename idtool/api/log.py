@@ -44,7 +44,8 @@ class Log:
     columns
         For CSV: name of the column in the file for each canonical name (``t``, ``q_hip``, …).
     scale
-        SI units per logged unit, by signal and joint, e.g. ``{"tau": {"hip": 0.118}}`` for a logged current.
+        SI units per logged unit, by signal and joint, e.g. ``{"tau": {"hip": 0.118}}`` for a logged current; or by
+        signal, for all joints.
     sensors
         True to read the topics of an MCAP file with IMU, contact flags and wrenches too, for a robot with a floating
         base. A CSV file has them as columns, which are always read.
@@ -78,7 +79,7 @@ class Log:
         *,
         topic: str | None = None,
         columns: Mapping[str, str] | None = None,
-        scale: Mapping[str, Mapping[str, float]] | None = None,
+        scale: Mapping[str, Mapping[str, float] | float] | None = None,
         sensors: bool = False,
         imu_topic: str | None = None,
         pose_topic: str | None = None,

@@ -16,6 +16,7 @@ from idtool.data.base_sensors import sensor_options
 from idtool.data.logs import read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.robot_source import read_robot_and_logs
+from idtool.dynamics.armature import with_armature
 from idtool.dynamics.effects import friction_types
 from idtool.estimation.fit import Fit
 from idtool.reporting.fit_report import joint_dynamics, model_config
@@ -173,7 +174,7 @@ class Model:
             for term, setting in self._config.friction_of(joint):
                 if setting is not False:
                     owners.setdefault(friction[term].id, []).append(joint)
-        for entry in self._config.effects:
+        for entry in with_armature(self._config, self._tree).effects:
             names = owners.setdefault(entry.effect, [])
             owner = entry.joint or entry.link
             if owner:

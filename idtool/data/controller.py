@@ -52,14 +52,14 @@ class JointController:
                     log.path,
                     f"joint {name} has neither torque nor position command; log one, or leave it out of joints",
                 )
-            if controller is None or name not in controller.kp:
+            if controller is None or controller.kp_of(name) is None:
                 raise LogError(
                     log.path, f"joint {name} has no torque; set its gains controller.kp and kd in the configuration"
                 )
         if controller is None or not lacks_torque.any():
             return cls(lacks_torque, np.zeros((len(joints), 1)), np.zeros((len(joints), 1)), 0.0)
-        kp = np.array([[controller.kp.get(name, 0.0)] for name in joints])
-        kd = np.array([[controller.kd.get(name, 0.0)] for name in joints])
+        kp = np.array([[controller.kp_of(name) or 0.0] for name in joints])
+        kd = np.array([[controller.kd_of(name)] for name in joints])
         delay = controller.known_delay
         return cls(lacks_torque, kp, kd, delay.value if delay else 0.0)
 
@@ -99,10 +99,11 @@ def without_constant_torque(log: JointLog, controller: Controller | None) -> Joi
 
     Drivers without a torque sensor publish zeros.
     """
-    gains = controller.kp if controller else {}
+    if controller is None:
+        return log
     columns = []
     for i, name in enumerate(log.joints):
-        if name in gains and log.has("qcmd", name) and _is_constant(log, i):
+        if controller.kp_of(name) is not None and log.has("qcmd", name) and _is_constant(log, i):
             columns.append(i)
     if not columns:
         return log
@@ -119,10 +120,10 @@ def with_unknown_torque(log: JointLog, controller: Controller | None) -> JointLo
 
     Their torque counts as unknown: their rows of the torque equation are left out.
     """
-    gains = controller.kp if controller else {}
     unknown = []
     for i, name in enumerate(log.joints):
-        has_command = name in gains and log.has("qcmd", name)
+        has_gains = controller is not None and controller.kp_of(name) is not None
+        has_command = has_gains and log.has("qcmd", name)
         has_torque = log.has("tau", name) and not _is_constant(log, i)
         if not (has_torque or has_command):
             unknown.append(i)

@@ -89,7 +89,9 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
         raise ModelError("--method iv", "needs a fixed base, no contacts and no wrench_sensors; use least squares")
     signals, controller = run.signals, experiment.config.controller
     kind: Kind
-    if controller is not None and all(signals.log.has("qcmd", n) and n in controller.kp for n in signals.joints):
+    if controller is not None and all(
+        signals.log.has("qcmd", name) and controller.kp_of(name) is not None for name in signals.joints
+    ):
         kind = "closed_loop"
         cutoff = np.full(len(signals.joints), np.inf)
         log = _simulated_log(experiment, run, theta, progress)

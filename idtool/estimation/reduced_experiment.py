@@ -13,6 +13,7 @@ from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice, unique
 from idtool.common.provenance import InputFile
+from idtool.dynamics.armature import with_armature
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import with_delay
@@ -201,6 +202,7 @@ def prepare_reduced(
     first = every[0][1]
     config = _with_fitted_settings(config, first)
     model = build_model(robot, config, first.settings["joints"])
+    config = with_armature(config, model)
     settings = row_settings(model, config, config.filter.cutoff_hz or first.band_hz)
     equation = LinearModel(model.names, build_effects(model, config))
     for path, reduction in every:

@@ -6,6 +6,7 @@ Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -117,14 +118,14 @@ def joint_limits(model: RobotModel, config: Config) -> Limits:
         If the configuration names a joint that is not there, or no range is left to move in.
     """
     actuated = [j.name for j in model.robot.joints.values() if j.kind != "fixed" and j.mimic is None]
-    for name in config.limits:
+    for name in config.limits if isinstance(config.limits, Mapping) else ():
         if name not in actuated:
             raise ConfigError(f"limits: {name}", f"is not an actuated joint of the URDF; {suggestion(name, actuated)}")
     assumed: dict[str, list[str]] = {}
     joints = model.joints[: model.joint_count]
     limits = np.empty((5, len(joints)))
     for j, joint in enumerate(joints):
-        limits[:, j] = _limits_of_joint(joint, config.limits.get(joint.name, JointLimits()), assumed)
+        limits[:, j] = _limits_of_joint(joint, config.limits_of(joint.name), assumed)
     _tighten_by_mimics(model, limits)
     lower, upper, velocity, acceleration, effort = limits
     for name, low, high in zip(model.joint_names, lower, upper, strict=True):

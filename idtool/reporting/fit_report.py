@@ -498,11 +498,15 @@ def model_config(fit: Fit, folder: Path | None = None) -> dict[str, Any]:
     robot_links = experiment.model.robot.links
     for i, body in enumerate(experiment.model.bodies):
         if body.kind == "rotor":
-            data["rotors"][body.name].pop("inertial", None)
+            rotor = data["rotors"][body.name]
+            rotor.pop("inertial", None)
+            if rotor.pop("inertia", None) is not None:
+                filled_in = config.rotors[body.name].with_disc(body.axis, config.has_bound(body.name))
+                rotor["bounding_ellipsoid"] = filled_in.model_dump(mode="json")["bounding_ellipsoid"]
             if body.name not in robot_links:  # else it is in the URDF
                 mass, com, inertia = rounded_inertial(fit.parameters(i))
                 inertial = {"mass": mass, "com": com.tolist(), "inertia": symmetric_entries(inertia).tolist()}
-                data["rotors"][body.name]["inertial"] = inertial
+                rotor["inertial"] = inertial
     if folder is not None:
         for shapes in data.get("bounding_shapes", {}).values():
             for shape in shapes:

@@ -23,7 +23,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, ModelError
-from idtool.common.names import join_names, suggestion
+from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.robot.body import Body, Frame, Member
 from idtool.robot.bounding import bounding_shape
@@ -374,9 +374,13 @@ class _Builder:
         of_joints: dict[str, Iterable[str]] = {"locked_joints": self.config.locked_joints}
         if isinstance(self.config.friction, dict):
             of_joints["friction"] = self.config.friction
-        if self.config.controller is not None:
-            of_joints["controller.kp"] = self.config.controller.kp
-            of_joints["controller.kd"] = self.config.controller.kd
+        if isinstance(self.config.armature, dict):
+            of_joints["armature"] = self.config.armature
+        controller = self.config.controller
+        if controller is not None and isinstance(controller.kp, dict):
+            of_joints["controller.kp"] = controller.kp
+        if controller is not None and isinstance(controller.kd, dict):
+            of_joints["controller.kd"] = controller.kd
         of_links: dict[str, Iterable[str]] = {
             "bounding_ellipsoids": self.config.bounding_ellipsoids,
             "bounding_shapes": self.config.bounding_shapes,
@@ -469,9 +473,11 @@ class _Builder:
             raise ConfigError(f"rotors.{name}", "is a name with unprintable characters; choose another")
         ratios, offset = self._rotor_motion(name, rotor)
         mount = self._rotor_mount(name, rotor)
-        pi = self._rotor_prior(name, rotor)
         axis = np.asarray(rotor.axis) if rotor.axis is not None else self._driven_axis(rotor, mount)
         axis = axis / np.linalg.norm(axis)
+        if rotor.inertia is not None:
+            rotor = self._filled_in(name, rotor, axis)
+        pi = self._rotor_prior(name, rotor)
         bounds = self.config.bounding_ellipsoids.get(name, ())
         if rotor.bounding_ellipsoid is not None:
             bounds = (rotor.bounding_ellipsoid,)
@@ -520,6 +526,23 @@ class _Builder:
             return stator.compose(driven.R, driven.p)
         raise ConfigError(f"{key}.origin", "is missing; give the rotor's placement in its parent")
 
+    def _filled_in(self, name: str, rotor: RotorConfig, axis: Array) -> RotorConfig:
+        """A rotor of which only the inertia about its axis is given, with all else, and a notice of what was chosen."""
+        filled = rotor.with_disc(axis, self.config.has_bound(name))
+        joint = self._driven_joint(rotor)
+        parts = []
+        if name not in self.robot.links and rotor.origin is None:
+            parts.append(f"its place on {printable(joint.parent)}, at the origin of {printable(joint.name)}")
+        if filled.inertial is not None:
+            parts.append(f"mass {filled.inertial.mass:.3g} kg")
+        if rotor.bounding_ellipsoid is None and filled.bounding_ellipsoid is not None:
+            radius = filled.bounding_ellipsoid.semi_axes[0]
+            parts.append(f"bounding ellipsoid, a sphere of radius {radius:.3g} m")
+        message = f"filled in, as for a typical rotor with this inertia: {'; '.join(parts)}"
+        advice = "if you know better, give origin, inertial or bounding_ellipsoid"
+        self.notices.append(Notice("rotor_filled_in", "note", name, message, advice))
+        return filled
+
     def _rotor_prior(self, name: str, rotor: RotorConfig) -> Array:
         if rotor.inertial is not None:
             return from_mass_com_inertia(
@@ -527,7 +550,7 @@ class _Builder:
             )
         pi = self.robot.links.get(name)
         if pi is None:
-            hint = "is missing; give a rough mass and inertia, or name the rotor after its URDF link"
+            hint = "is missing; give inertia about the axis, or inertial, or name the rotor after its URDF link"
             raise ConfigError(f"rotors.{name}.inertial", hint)
         return pi
 

@@ -91,8 +91,9 @@ class Draft:
     @property
     def without_gains(self) -> tuple[str, ...]:
         """Joints with neither torque nor gains to compute it."""
-        gains = self.config.controller.kp if self.config.controller else {}
-        return tuple(name for name in self.log_summary.commanded if name not in gains)
+        controller = self.config.controller
+        commanded = self.log_summary.commanded
+        return tuple(name for name in commanded if controller is None or controller.kp_of(name) is None)
 
     def unit(self, what: str, joints: Sequence[str]) -> str:
         """The unit of a quantity of some joints; both units if some joints are revolute and others prismatic."""

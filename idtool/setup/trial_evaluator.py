@@ -14,6 +14,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError, SolverError
+from idtool.dynamics.armature import with_armature
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import equality_constraints
@@ -92,6 +93,7 @@ class TrialEvaluator:
             If the problem could not be solved.
         """
         model = self.experiment.model
+        config = with_armature(config, model)
         equation = LinearModel(model.names, build_effects(model, config), contacts=self.experiment.equation.contacts)
         train = self._part(self.train, equation)
         sets, _ = choose_sets(model.bodies, config.constraints)

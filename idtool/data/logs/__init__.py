@@ -78,7 +78,7 @@ def read_log(
     *,
     topic: str | None = None,
     columns: Mapping[str, str] = {},
-    scale: Mapping[str, Mapping[str, float]] = {},
+    scale: Mapping[str, Mapping[str, float] | float] = {},
     sensors: SensorOptions | None = None,
     messages: MessageOptions = DEFAULT_MESSAGES,
 ) -> JointLog:
@@ -93,7 +93,7 @@ def read_log(
     columns
         Canonical name (``t``, ``q_hip``, …) to the name of the column in the file, for CSV.
     scale
-        Signal to joint to SI units per logged unit.
+        Signal to joint to SI units per logged unit, or to one number for all joints.
     sensors
         How to read the topics of IMU, contacts and wrenches; None: they are not read.
     messages
@@ -217,12 +217,13 @@ def log_suffixes() -> list[str]:
     return [suffix for log_format in _formats() for suffix in log_format.SUFFIXES]
 
 
-def _apply_scale(log: JointLog, scale: Mapping[str, Mapping[str, float]]) -> None:
+def _apply_scale(log: JointLog, scale: Mapping[str, Mapping[str, float] | float]) -> None:
     """Convert a log to SI units, in place."""
     for signal, factors in scale.items():
         if factors and signal not in log.signals:
             raise LogError(log.path, f"log.scale: the log has no {signal}; {suggestion(signal, list(log.signals))}")
-        for joint, factor in factors.items():
+        by_joint = factors if isinstance(factors, Mapping) else dict.fromkeys(log.joints, factors)
+        for joint, factor in by_joint.items():
             if joint not in log.joints:
                 raise LogError(
                     log.path, f"log.scale: {signal}: the log has no joint {joint}; {suggestion(joint, log.joints)}"

@@ -1,4 +1,4 @@
-"""Linear constraints on the coefficients: measured masses, known centres of mass, and copies of bodies or joints.
+"""Linear constraints on the coefficients: measured masses and reflected inertias, known centres of mass, and copies.
 
 Copies are substituted, theta = K z; everything else is an equation row · theta = value. Both go with R-factors.
 
@@ -16,6 +16,7 @@ from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import join_names, suggestion
 from idtool.common.notice import Notice
+from idtool.dynamics.armature import rotor_inertia_type
 from idtool.dynamics.regressor import LinearModel
 from idtool.robot.config import Config, MeasuredValue, Mirror
 from idtool.robot.ellipsoid import Ellipsoid
@@ -116,7 +117,11 @@ def equality_constraints(config: Config, model: RobotModel, equation: LinearMode
             is_copy[target] = True
 
     free = np.flatnonzero(~is_copy)
-    constraints = (*_mass_constraints(config, names, p), *_com_constraints(model, p))
+    constraints = (
+        *_mass_constraints(config, names, p),
+        *_com_constraints(model, p),
+        *_armature_constraints(config, equation),
+    )
     return EqualityConstraints(K[:, free], free, constraints, body_copies)
 
 
@@ -221,6 +226,19 @@ def _mass_constraints(config: Config, names: list[str], p: int) -> list[Constrai
         row = np.zeros(p)
         row[: PI_SIZE * len(names) : PI_SIZE] = 1.0
         constraints.append(_measured_constraint("known.total_mass", row, config.known.total_mass))
+    return constraints
+
+
+def _armature_constraints(config: Config, equation: LinearModel) -> list[Constraint]:
+    """Known reflected inertias of rotors."""
+    constraints = []
+    effect = rotor_inertia_type().id
+    for i, coefficient in enumerate(equation.coefficients):
+        armature = config.armature_of(coefficient.owner) if coefficient.effect == effect else None
+        if isinstance(armature, MeasuredValue):
+            row = np.zeros(len(equation.coefficients))
+            row[i] = 1.0
+            constraints.append(_measured_constraint(f"armature: {coefficient.owner}", row, armature))
     return constraints
 
 

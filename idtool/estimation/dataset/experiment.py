@@ -24,6 +24,7 @@ from idtool.data.logs.stored_arrays import blocks_of, column_blocks
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
 from idtool.data.signals import BATCH_SAMPLES, Batch, Signals
 from idtool.data.wrench_channels import WrenchChannels
+from idtool.dynamics.armature import with_armature
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.effects.wrench_sensor_offset import drift_times
@@ -434,6 +435,7 @@ def prepare(
     _check_joints(every, config)
     common = [name for name in every[0].joints if all(name in log.joints for log in every)]
     model = build_model(robot, config, common)
+    config = with_armature(config, model)
     for log in every:
         _check_signals(log, model.joint_names)
         _check_sensors(log, config)
@@ -724,7 +726,7 @@ def coefficients_of(robot: Robot, config: Config, experiment: Experiment) -> Arr
     sensors = {"base": own.base, "contacts": own.contacts, "wrench_sensors": own.wrench_sensors}
     config = config.model_copy(update={"joints": joints, **sensors})
     model = replace(build_model(robot, config, joints), offset_logs=experiment.model.offset_logs)
-    coefficients = LinearModel(model.names, build_effects(model, config)).coefficients
+    coefficients = LinearModel(model.names, build_effects(model, with_armature(config, model))).coefficients
     values = {c.key: c.prior for c in coefficients}
     if {body.name for body in model.bodies} != {body.name for body in experiment.model.bodies}:
         raise ModelError(robot.path, "does not have the same bodies as the model; compare URDFs of one robot")

@@ -239,8 +239,9 @@ def _with_noise(equation: LinearModel, contacts: ContactModel, noise: Array) -> 
 def _controller_stiffness(model: RobotModel, config: Config) -> Array:
     """Stiffness of the joint controllers, shape (n,); equal ones where the configuration has none."""
     n = model.joint_count
-    kp = {} if config.controller is None else config.controller.kp
-    stiffness = np.array([kp.get(name, 0.0) for name in model.joint_names])
+    if config.controller is None:
+        return np.ones(n)
+    stiffness = np.array([config.controller.kp_of(name) or 0.0 for name in model.joint_names])
     return stiffness if (stiffness > 0).all() else np.ones(n)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
+from idtool.dynamics.armature import with_armature
 from idtool.dynamics.effects import NamedEffect, RigidBodies, build_effects, mechanism_of
 from idtool.dynamics.effects.simulator_element import SimulatorElement
 from idtool.dynamics.effects.wrench_sensor_offset import WrenchSensorOffset
@@ -133,6 +134,7 @@ def identified_model(robot: Robot, config: Config) -> IdentifiedModel:
     """
     free = [name for name in robot.joints if name not in config.locked_joints]
     without_effects = build_model(robot, config, config.joints or free)
+    config = with_armature(config, without_effects)
     equation = LinearModel(without_effects.names, build_effects(without_effects, config))
     model = next(effect.model for effect in equation.effects if isinstance(effect, RigidBodies))
     sorts = _EffectsByForm(without_effects)

@@ -117,9 +117,10 @@ def _controller_lines(scene: Scene) -> list[str]:
     delay = controller.known_delay
     unknown = "with a delay that was not identified (controller.delay: auto)."
     lines.append(f"with a command that is delayed by {delay.value!r} s." if delay else unknown)
-    for name in controller.kp:
-        if name in scene.forces:
-            lines.append(f"  {name}: kp {controller.kp[name]!r}, kd {controller.kd.get(name, 0.0)!r}")
+    for name in scene.forces:
+        kp = controller.kp_of(name)
+        if kp is not None:
+            lines.append(f"  {name}: kp {kp!r}, kd {controller.kd_of(name)!r}")
     return lines
 
 

@@ -42,6 +42,11 @@ Name = Annotated[str, AfterValidator(_name)]
 Vector = tuple[Finite, Finite, Finite]
 
 
+def joint_mapping_tag(data: Any) -> str:
+    """Tag of the form in which numbers of joints are given: by joint, or one for all joints alike."""
+    return "by joint" if isinstance(data, Mapping) else "alike"
+
+
 class ConfigRecord(BaseModel):
     """Base of the configuration's records: frozen, strict about its keys."""
 

@@ -13,9 +13,18 @@ from idtool.common.provenance import InputFile, source_from_bytes
 from idtool.common.safe_yaml import parse_yaml, yaml_bytes
 from idtool.robot.config.base import ConfigRecord, Finite, Vector, validate_record
 from idtool.robot.config.bounds import BoundingEllipsoid, BoundingShape
-from idtool.robot.config.estimation import Constraints, KnownMasses, Mirror, Regularization, Solver
+from idtool.robot.config.estimation import (
+    Armature,
+    Constraints,
+    KnownMasses,
+    MeasuredValue,
+    Mirror,
+    Regularization,
+    Solver,
+    armature_tag,
+)
 from idtool.robot.config.floating_base import Base, Contact
-from idtool.robot.config.limits import JointLimits
+from idtool.robot.config.limits import JointLimits, limits_tag
 from idtool.robot.config.pool import Pool
 from idtool.robot.config.rotors import RotorConfig
 from idtool.robot.config.signals import Controller, Filter, LogOptions, SimulationOptions
@@ -58,6 +67,10 @@ class Config(ConfigRecord):
     bounding_shapes: dict[str, tuple[BoundingShape, ...]] = Field(default_factory=dict)
     known_com: dict[str, Vector] = Field(default_factory=dict)
     rotors: dict[str, RotorConfig] = Field(default_factory=dict)
+    armature: Annotated[
+        Annotated[dict[str, Armature], Tag("by joint")] | Annotated[Armature, Tag("alike")],
+        Discriminator(armature_tag),
+    ] = Field(default_factory=dict)
     friction: Annotated[
         Annotated[dict[str, Friction], Tag("by joint")] | Annotated[Friction, Tag("alike")],
         Discriminator(friction_tag),
@@ -71,7 +84,10 @@ class Config(ConfigRecord):
     solver: Solver = Solver()
     controller: Controller | None = None
     simulation: SimulationOptions = SimulationOptions()
-    limits: dict[str, JointLimits] = Field(default_factory=dict)
+    limits: Annotated[
+        Annotated[dict[str, JointLimits], Tag("by joint")] | Annotated[JointLimits, Tag("alike")],
+        Discriminator(limits_tag),
+    ] = Field(default_factory=dict)
     base: Base = Base()
     contacts: Annotated[tuple[Contact, ...], AfterValidator(_unique_contacts)] = ()
     wrench_sensors: Annotated[tuple[WrenchSensor, ...], AfterValidator(_unique_sensors)] = ()
@@ -94,7 +110,7 @@ class Config(ConfigRecord):
                 raise ConfigError(key, f"are not for idtool {command}; remove them")
 
     def without_friction_values(self) -> Config:
-        """A copy with the friction terms, but without their values and without effects."""
+        """A copy with the friction terms, but without their values, and without armature and effects."""
 
         def without_values(friction: Friction) -> Friction:
             return Friction(**{name: term is not False for name, term in friction})
@@ -104,13 +120,29 @@ class Config(ConfigRecord):
             friction = without_values(self.friction)
         else:
             friction = {joint: without_values(terms) for joint, terms in self.friction.items()}
-        return self.model_copy(update={"friction": friction, "effects": ()})
+        return self.model_copy(update={"friction": friction, "armature": {}, "effects": ()})
 
     def friction_of(self, joint: str) -> Friction:
         """The friction terms of one joint; a joint that is not named has the default ones."""
         if isinstance(self.friction, Friction):
             return self.friction
         return self.friction.get(joint, Friction())
+
+    def has_bound(self, body: str) -> bool:
+        """True if a body has ellipsoids or shapes as bounds; a rotor also, if they are not in its own entry."""
+        return body in self.bounding_ellipsoids or body in self.bounding_shapes
+
+    def armature_of(self, joint: str) -> MeasuredValue | Literal["auto"] | None:
+        """Reflected rotor inertia of one joint [kg·m² or kg]; ``auto``: it is estimated; None: it has none."""
+        if isinstance(self.armature, dict):
+            return self.armature.get(joint)
+        return self.armature
+
+    def limits_of(self, joint: str) -> JointLimits:
+        """The limits of one joint."""
+        if isinstance(self.limits, JointLimits):
+            return self.limits
+        return self.limits.get(joint, JointLimits())
 
 
 def parse_config(data: Any, where: str) -> Config:

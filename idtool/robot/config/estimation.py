@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -92,6 +93,17 @@ class MeasuredValue(UncertainValue):
 
     value: Positive
     standard_error: Positive | None = None
+
+
+Armature = Annotated[
+    Annotated[Literal["auto"], Tag("[auto]")] | Annotated[MeasuredValue, Tag("[number]")], Discriminator(_weight_tag)
+]
+
+
+def armature_tag(data: Any) -> str:
+    """Tag of the form: one reflected inertia for all joints alike, which may have a standard error, or by joint."""
+    is_value = isinstance(data, Mapping) and not isinstance(data.get("value", {}), Mapping)
+    return "by joint" if isinstance(data, Mapping) and not is_value else "alike"
 
 
 class KnownMasses(ConfigRecord):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 from pydantic import AfterValidator
 
@@ -22,3 +23,11 @@ class JointLimits(ConfigRecord):
     velocity: Positive | None = None
     acceleration: Positive | None = None
     effort: Positive | None = None
+
+
+def limits_tag(data: Any) -> str:
+    """Tag of the form: limits for all joints alike, or by joint; told by the keys."""
+    if not isinstance(data, Mapping):
+        return "alike" if isinstance(data, JointLimits) else "by joint"
+    own = [value for key, value in data.items() if key in JointLimits.model_fields]
+    return "alike" if any(not isinstance(value, Mapping | JointLimits) for value in own) else "by joint"

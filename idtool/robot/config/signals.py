@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from idtool.common.names import suggestion
-from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Positive
+from idtool.robot.config.base import ConfigRecord, Finite, NonNegative, Positive, joint_mapping_tag
 from idtool.robot.config.terms import UncertainValue
 from idtool.robot.message_fields import JOINT_NAME, PRESETS, parse_field
 
@@ -19,11 +19,18 @@ def _nonzero(factor: float) -> float:
     return factor
 
 
-Factors = dict[str, Annotated[Finite, AfterValidator(_nonzero)]]
+Factor = Annotated[Finite, AfterValidator(_nonzero)]
+Factors = Annotated[
+    Annotated[dict[str, Factor], Tag("by joint")] | Annotated[Factor, Tag("alike")], Discriminator(joint_mapping_tag)
+]
+Gains = Annotated[
+    Annotated[dict[str, NonNegative], Tag("by joint")] | Annotated[NonNegative, Tag("alike")],
+    Discriminator(joint_mapping_tag),
+]
 
 
 class Scale(ConfigRecord):
-    """Factors from logged units to SI units, by joint."""
+    """Factors from logged units to SI units, by joint or one for all joints of the log."""
 
     q: Factors = Field(default_factory=dict)
     v: Factors = Field(default_factory=dict)
@@ -110,12 +117,20 @@ Delay = Annotated[Literal["auto"] | float | UncertainValue, BeforeValidator(_del
 class Controller(ConfigRecord):
     """A joint PD controller: kp [N·m/rad], kd [N·m·s/rad] at the joint, delay from command to torque [s].
 
-    A delay of ``auto`` is fitted.
+    The gains are by joint, or one for all joints. A delay of ``auto`` is fitted.
     """
 
-    kp: dict[str, NonNegative]
-    kd: dict[str, NonNegative] = Field(default_factory=dict)
+    kp: Gains
+    kd: Gains = Field(default_factory=dict)
     delay: Delay = "auto"
+
+    def kp_of(self, joint: str) -> float | None:
+        """Position gain of a joint [N·m/rad or N/m]; None: it has no controller."""
+        return self.kp.get(joint) if isinstance(self.kp, Mapping) else self.kp
+
+    def kd_of(self, joint: str) -> float:
+        """Velocity gain of a joint [N·m·s/rad or N·s/m]."""
+        return self.kd.get(joint, 0.0) if isinstance(self.kd, Mapping) else self.kd
 
     @property
     def known_delay(self) -> UncertainValue | None:
