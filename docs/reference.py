@@ -25,7 +25,7 @@ from idtool.reporting.results.setup import InitReport
 from idtool.reporting.results.simulation import SimulationReport
 from idtool.reporting.results.study import StudyReport
 from idtool.reporting.results.validation import RegressionReport, ValidationReport
-from idtool.robot.config import Config
+from idtool.robot.config.schema import config_schema
 
 PAGES = Path(__file__).parent / "pages"
 PAGE = PAGES / "json.md"
@@ -68,7 +68,7 @@ def schemas() -> dict[str, str]:
     """The JSON schemas by file name."""
     models = {heading: result for heading, (result, _) in RESULTS.items() if heading.endswith(".json")}
     texts = {f"{name.removesuffix('.json')}.schema.json": model.model_json_schema() for name, model in models.items()}
-    texts["idtool.schema.json"] = Config.model_json_schema()
+    texts["idtool.schema.json"] = config_schema()
     return {name: json.dumps(schema, indent=2, ensure_ascii=False) + "\n" for name, schema in texts.items()}
 
 

@@ -25,5 +25,10 @@ class Pool(ConfigRecord):
     """A fleet: robots of one type, with the same bodies and friction of their own."""
 
     shared: Literal["bodies"] = "bodies"
-    own: Annotated[tuple[str, ...], BeforeValidator(_as_list), AfterValidator(_not_empty)] = (FRICTION,)
+    own: Annotated[
+        tuple[str, ...],
+        BeforeValidator(_as_list),
+        AfterValidator(_not_empty),
+        Field(json_schema_extra={"type": ["array", "string"]}),
+    ] = (FRICTION,)
     robots: dict[str, tuple[str, ...]] = Field(default_factory=dict)

@@ -5,13 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
 from idtool.robot.config.base import ConfigRecord, Finite, NonNegative
 
 
+def _or_bare_number(schema: dict[str, Any]) -> None:
+    """Add the bare number to the JSON schema of a value with its standard error."""
+    record = dict(schema)
+    schema.clear()
+    schema["anyOf"] = [record["properties"]["value"], record]
+
+
 class UncertainValue(ConfigRecord):
     """A number that may have a standard error, both in the same unit."""
+
+    model_config = ConfigDict(json_schema_extra=_or_bare_number)
 
     value: Finite
     standard_error: NonNegative | None = None
