@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from idtool.common.exceptions import ConfigError
+from idtool.robot.config.unknown_keys import UnknownKeyError, missing_name_message, unknown_key_message
 
 MAX_VALUE = 1e12  # SI, of any number: powers of what is larger are not finite
 MIN_LENGTH = 1e-6  # m: the inverse square of what is smaller is not finite
@@ -48,7 +48,15 @@ def joint_mapping_tag(data: Any) -> str:
 
 
 class ConfigRecord(BaseModel):
-    """Base of the configuration's records: frozen, strict about its keys."""
+    """Base of the configuration's records: frozen, strict about its keys.
+
+    Attributes
+    ----------
+    example
+        A whole with every key, YAML, for messages; empty: there is none.
+    """
+
+    example: ClassVar[str] = ""
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)  # the whole holds its parts
 
@@ -58,8 +66,7 @@ class ConfigRecord(BaseModel):
         if isinstance(data, Mapping):
             for key in data:
                 if key not in cls.model_fields:
-                    closest = difflib.get_close_matches(str(key), cls.model_fields, n=1, cutoff=0.0)
-                    raise ValueError(f"unknown key '{key}'; did you mean '{closest[0]}'?")
+                    raise UnknownKeyError(cls, str(key), data[key])
         return data
 
 
@@ -82,7 +89,15 @@ def validate_record(record: type[R], data: Any, where: str) -> R:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"] if part not in _TAGS)
         if first["type"] == "value_error":  # in our own words, which may begin with a name
+            cause = first["ctx"]["error"]
+            if isinstance(cause, UnknownKeyError):
+                message = unknown_key_message(record, cause, record.example)
+                raise ConfigError(f"{where}: {key}" if key else where, message) from None
             raise ConfigError(f"{where}: {key}" if key else where, first["msg"].removeprefix("Value error, ")) from None
+        if first["type"] == "model_type":
+            hint = missing_name_message(record, first["ctx"]["class_name"], first["loc"][-1], record.example)
+            if hint is not None:
+                raise ConfigError(f"{where}: {key}", hint) from None
         message = first["msg"].split(" or instance of ")[0]
         message = message.replace("valid tuple", "list; write it in brackets, or each item after a dash")
         message = message.replace("valid dictionary", "mapping of keys to values; write it as key: value")

@@ -23,6 +23,7 @@ from idtool.robot.config.estimation import (
     Solver,
     armature_tag,
 )
+from idtool.robot.config.example import EXAMPLE
 from idtool.robot.config.floating_base import Base, Contact
 from idtool.robot.config.limits import JointLimits, limits_tag
 from idtool.robot.config.pool import Pool
@@ -57,6 +58,8 @@ def _unique_sensors(sensors: tuple[WrenchSensor, ...]) -> tuple[WrenchSensor, ..
 
 class Config(ConfigRecord):
     """The configuration: everything that a URDF does not contain."""
+
+    example = EXAMPLE
 
     joints: Annotated[tuple[str, ...], AfterValidator(_unique)] | None = None
     locked_joints: dict[str, Finite] = Field(default_factory=dict)
