@@ -54,9 +54,12 @@ class ConfigRecord(BaseModel):
     ----------
     example
         A whole with every key, YAML, for messages; empty: there is none.
+    free_keys
+        Key under which any keys may stand; empty: there is none.
     """
 
     example: ClassVar[str] = ""
+    free_keys: ClassVar[str] = ""
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)  # the whole holds its parts
 
@@ -66,7 +69,7 @@ class ConfigRecord(BaseModel):
         if isinstance(data, Mapping):
             for key in data:
                 if key not in cls.model_fields:
-                    raise UnknownKeyError(cls, str(key), data[key])
+                    raise UnknownKeyError(cls, str(key), data[key], cls.free_keys)
         return data
 
 
@@ -94,7 +97,7 @@ def validate_record(record: type[R], data: Any, where: str) -> R:
                 message = unknown_key_message(record, cause, record.example)
                 raise ConfigError(f"{where}: {key}" if key else where, message) from None
             raise ConfigError(f"{where}: {key}" if key else where, first["msg"].removeprefix("Value error, ")) from None
-        if first["type"] == "model_type":
+        if first["type"] == "model_type" and key:
             hint = missing_name_message(record, first["ctx"]["class_name"], first["loc"][-1], record.example)
             if hint is not None:
                 raise ConfigError(f"{where}: {key}", hint) from None

@@ -13,10 +13,11 @@ log:
   field_joints: [hip, knee]
 velocity: auto
 bounding_ellipsoids:
-  thigh: [{center: [0, 0, -0.17], semi_axes: [0.08, 0.08, 0.25], rpy: [0, 0, 0]}]
+  thigh: [{center: [0, 0, -0.17], semi_axes: [0.08, 0.08, 0.25]}]
+  shank: [{semi_axes: [0.05, 0.05, 0.2], rpy: [0, 0, 0]}]
 bounding_shapes:
-  thigh: [{kind: box, center: [0, 0, -0.17], rpy: [0, 0, 0], size: [0.06, 0.06, 0.35]}]
-  shank: [{kind: capsule, radius: 0.03, length: 0.3}]
+  thigh: [{kind: box, center: [0, 0, -0.17], size: [0.06, 0.06, 0.35]}]
+  shank: [{kind: capsule, radius: 0.03, length: 0.3, rpy: [0, 0, 0]}]
   foot: [{kind: hull, file: foot.stl}]
 known_com: {thigh: [0, 0, -0.17]}
 rotors:
@@ -51,10 +52,12 @@ base:
   pose: {link: trunk, topic: /pose, delay: 0}
   noise: {hip: 0.1}
 contacts:
-  - {name: FL, link: FL_foot, point: [0, 0, 0], radius: 0.02, compliance: fit, flag: contact_FL, widen: 0.12}
+  - {name: FL, link: FL_foot, flag: contact_FL}
+  - {name: HL, link: HL_foot, point: [0, 0, 0], radius: 0.02, compliance: fit, flag: auto, widen: 0.12}
   - {name: FR, link: FR_foot, kind: surface, frame: world, force: [fx, fy, fz], moment: [mx, my, mz], sign: 1}
 wrench_sensors:
-  - {joint: ft, topic: /ft, channel: ft, frame: tool, sign: 1, offset: fit, common_offset: false, drift: auto}
+  - {joint: ft, topic: /ft}
+  - {joint: ft2, topic: /ft2, channel: ft2, frame: tool, sign: 1, offset: fit, common_offset: false, drift: auto}
 pool: {shared: bodies, own: [friction], robots: {spot1: [spot1_*.mcap]}}
 seed: 0
 """

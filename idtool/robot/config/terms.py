@@ -71,6 +71,8 @@ def friction_tag(data: Any) -> str:
 class EffectEntry(ConfigRecord):
     """An effect of the model; parameters in SI units, each a number or a value with its standard error."""
 
+    free_keys = "parameters"
+
     effect: str
     joint: str | None = None
     link: str | None = None

@@ -16,15 +16,17 @@ from idtool.common.names import join_names, printable
 
 _SYNONYMS = {
     "damping": "viscous",
+    "height": "length",
     "reflected_inertia": "armature",
     "rotor_inertia": "armature",
     "speed": "velocity",
+    "torque": "tau",
 }
 _NAME, _ITEM = "<name>", "[]"  # in a path: of an entry, which the user chooses; an element of a list
 _SIMILAR, _MUCH_ALIKE = 0.5, 0.8  # of keys, from 0 to 1
 _BETTER = 0.1  # by which a key elsewhere must be more similar than one of the same section
 _MIN_PART = 4  # characters by which a part of a key tells the whole
-_MAX_EXAMPLE = 100  # characters
+_MAX_EXAMPLE = 90  # characters
 _MAX_LISTED = 10
 
 Path = tuple[str, ...]
@@ -39,13 +41,16 @@ class UnknownKeyError(ValueError):
         Class of the record.
     key, value
         The key, and what the user gave for it.
+    free_keys
+        Key of the record under which any keys may stand; empty: there is none.
     """
 
-    def __init__(self, record: type[BaseModel], key: str, value: Any) -> None:
+    def __init__(self, record: type[BaseModel], key: str, value: Any, free_keys: str = "") -> None:
         super().__init__(f"unknown key '{key}'")
         self.record = record
         self.key = key
         self.value = value
+        self.free_keys = free_keys
 
 
 @dataclass(frozen=True)
@@ -93,6 +98,11 @@ def unknown_key_message(root: type[BaseModel], error: UnknownKeyError, example: 
     similarity, closest = _closest(key, [place.key for place in elsewhere])
     unknown = f"unknown key '{printable(error.key)}'"
 
+    if error.free_keys and similarity_here < _MUCH_ALIKE:
+        holders = [place for place in own_places if place.key == error.free_keys]
+        example_text = _example(root, holders, example, {error.key: error.value})
+        return f"{printable(error.key)} belongs under {error.free_keys}{_after(': ', example_text)}"
+
     is_misplaced = similarity == 1.0 and similarity_here < _MUCH_ALIKE + _BETTER
     if is_misplaced or (similarity >= _MUCH_ALIKE and similarity > similarity_here + _BETTER):
         nearest = _nearest([place for place in elsewhere if place.key == closest], own_places)
@@ -105,13 +115,11 @@ def unknown_key_message(root: type[BaseModel], error: UnknownKeyError, example: 
 
     if similarity_here >= _SIMILAR:
         meant = [place for place in own_places if place.key == closest_here]
-        return (
-            f"{unknown}; did you mean '{closest_here}'?{_after(' Write ', _example(root, meant, example, error.value))}"
-        )
-    available = f"{unknown}; available: {join_names(list(error.record.model_fields), _MAX_LISTED)}"
-    return available + _after(
-        "; for example ", _example(root, [place for place in own_places if place.parent], example)
-    )
+        example_text = _example(root, meant, example, error.value)
+        return f"{unknown}; did you mean '{closest_here}'?{_after(' Write ', example_text)}"
+    available = join_names(list(error.record.model_fields), _MAX_LISTED)
+    example_text = _example(root, [place for place in own_places if place.parent], example)
+    return f"{unknown}; available: {available}{_after('; for example ', example_text)}"
 
 
 def _after(words: str, text: str) -> str:
@@ -216,7 +224,20 @@ def _example_at(root: type[BaseModel], data: Any, path: Path, names: Sequence[st
         text = _one_line(_branch(data, names, depth, None))
         if len(text) <= _MAX_EXAMPLE:
             return text
-    return text
+    return _one_line(_branch(data, names, len(names), _first_entry(_value_at(data, names))))
+
+
+def _value_at(data: Any, names: Sequence[str | int]) -> Any:
+    for name in names:
+        data = data[name]
+    return data
+
+
+def _first_entry(data: Any) -> Any:
+    """The first entry of a list or mapping, as one."""
+    if isinstance(data, list):
+        return data[:1]
+    return dict(list(data.items())[:1]) if isinstance(data, Mapping) else data
 
 
 def _names_in(data: Any, path: Path) -> list[str | int] | None:
