@@ -25,7 +25,7 @@ from idtool.reporting.results.setup import InitReport
 from idtool.reporting.results.simulation import SimulationReport
 from idtool.reporting.results.study import StudyReport
 from idtool.reporting.results.validation import RegressionReport, ValidationReport
-from idtool.robot.config.schema import config_schema
+from idtool.robot.config.schema import SCHEMA_FILE, config_schema
 
 PAGES = Path(__file__).parent / "pages"
 PAGE = PAGES / "json.md"
@@ -67,9 +67,11 @@ def reference() -> str:
 def schemas() -> dict[str, str]:
     """The JSON schemas by file name."""
     models = {heading: result for heading, (result, _) in RESULTS.items() if heading.endswith(".json")}
-    texts = {f"{name.removesuffix('.json')}.schema.json": model.model_json_schema() for name, model in models.items()}
-    texts["idtool.schema.json"] = config_schema()
-    return {name: json.dumps(schema, indent=2, ensure_ascii=False) + "\n" for name, schema in texts.items()}
+    texts = {SCHEMA_FILE: config_schema()}
+    for name, model in models.items():
+        text = json.dumps(model.model_json_schema(), indent=2, ensure_ascii=False) + "\n"
+        texts[f"{name.removesuffix('.json')}.schema.json"] = text
+    return texts
 
 
 def _table(record: type[Record]) -> Iterator[str]:

@@ -17,6 +17,7 @@ from idtool.common.urls import log_path
 from idtool.data.robot_source import read_robot_and_logs
 from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.setup import InitReport, StartErrors, TodoReport, TrialReport
+from idtool.robot.config.schema import SCHEMA_FILE, config_schema
 from idtool.setup import InitialConfig, make_initial_config
 
 
@@ -31,7 +32,7 @@ class InitResult(InitReport):
         return self._text
 
     def save(self, *, force: bool = False) -> Path:
-        """Write the configuration to ``file``.
+        """Write the configuration to ``file``, and beside it its JSON schema for editors, ``idtool.schema.json``.
 
         Parameters
         ----------
@@ -49,7 +50,7 @@ class InitResult(InitReport):
         """
         file = Path(self.file)
         check_configuration(file, [], force)
-        write_all(file.parent, {file.name: self._text})
+        write_all(file.parent, {file.name: self._text, SCHEMA_FILE: config_schema()})
         return file
 
     def __repr__(self) -> str:

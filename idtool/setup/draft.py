@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from idtool.dynamics.effects import effect_types
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
 from idtool.setup.base_sections import BaseSections
@@ -17,6 +18,7 @@ from idtool.setup.trials import TrialResults
 _UNITS = {  # of a turning joint, and of a sliding one
     "torque": ("N·m", "N"),
     "stiffness": ("N·m/rad", "N/m"),
+    "inertia": ("kg·m²", "kg"),
     "damping": ("N·m·s/rad", "N·s/m"),
 }
 
@@ -41,6 +43,8 @@ class Draft:
         Bounding ellipsoids.
     ratios, rotors
         Gear ratio and URDF link of the rotor, by joint.
+    standing_links
+        Masses of the links that stand still, which are not in the model, by link [kg].
     base
         Sections on a floating base, its contacts and wrench sensors.
     trial_results
@@ -58,6 +62,7 @@ class Draft:
     bounds: Bounds
     ratios: Mapping[str, float]
     rotors: Mapping[str, str]
+    standing_links: Mapping[str, float]
     base: BaseSections
     trial_results: TrialResults | None = None
     no_trials_reason: str = ""
@@ -82,6 +87,16 @@ class Draft:
     def uses_pose(self) -> bool:
         """True if the motion of the base follows from its pose, as given or as proposed."""
         return "pose" in self.base.values().get("base", {}) or self.config.base.uses_pose
+
+    @property
+    def without_rotor(self) -> tuple[str, ...]:
+        """Identified joints without a reflected inertia, whether of a given rotor or found by trial."""
+        with_rotor: set[str | None] = {joint for rotor in self.config.rotors.values() for joint in rotor.ratios}
+        with_rotor |= {entry.joint for entry in self.config.effects if effect_types()[entry.effect].is_rotor_inertia}
+        if self.trial_results is not None:
+            values = self.trial_results.values
+            with_rotor |= {joint for effect, joint in values if effect_types()[effect].is_rotor_inertia}
+        return tuple(joint for joint in self.joints if joint not in with_rotor)
 
     @property
     def origin(self) -> str:

@@ -41,6 +41,7 @@ _SECTIONS: Mapping[str, Callable[[Draft], ConfigSection | None]] = {
     "filter": sections.low_pass,
     "friction": sections.friction,
     "rotors": model_sections.rotors,
+    "armature": model_sections.armature,
     "effects": model_sections.effects,
     "bounding_ellipsoids": model_sections.bounding_ellipsoids,
     "controller": model_sections.controller,
@@ -115,9 +116,19 @@ def _make_draft(
         bounds=find_bounds(robot, model),
         ratios=gear_ratios(robot),
         rotors=rotor_links(robot, summary.joints),
+        standing_links=_standing_links(robot, model),
         base=base,
     )
     return _with_trials(draft, model, progress)
+
+
+def _standing_links(robot: Robot, model: RobotModel) -> dict[str, float]:
+    """Masses of the links that no identified joint moves [kg]."""
+    masses = {}
+    for link, pi in robot.links.items():
+        if pi is not None and model.frames[link].body < 0 and pi[0] > 0:
+            masses[link] = float(pi[0])
+    return masses
 
 
 def _with_trials(draft: Draft, model: RobotModel, progress: Progress) -> Draft:
@@ -135,6 +146,7 @@ def _with_trials(draft: Draft, model: RobotModel, progress: Progress) -> Draft:
     for effect, kind in effect_types().items():
         trial = kind.init_trial
         is_given = ("friction" if kind.friction_key else "effects") in draft.given
+        is_given |= kind.is_rotor_inertia and "armature" in draft.given
         if trial is None or is_given or (trial.needs_measured_torque and draft.log_summary.commanded):
             continue
         if issubclass(kind, JointTerm):
@@ -318,12 +330,13 @@ def _todo_items(draft: Draft) -> list[TodoItem]:
         items.append(TodoItem("log.columns", f"give the column of the torque, or log the command instead: {named}"))
     if "bounding_ellipsoids" not in draft.given or draft.given["bounding_ellipsoids"] == draft.bounds.ellipsoids:
         items += _unbounded(draft)
-    if "rotors" not in draft.given:
-        items.append(TodoItem("rotors", "mass, inertia and gear ratio, if the joints are geared"))
+    if "rotors" not in draft.given and "armature" not in draft.given:
+        what = "gear ratio and inertia of each, if the joints are geared"
+        if draft.without_rotor:
+            what += "; or armature: auto, which estimates their reflected inertia"
+        items.append(TodoItem("rotors", what))
     if "total_mass" not in draft.given.get("known", {}):
-        items.append(
-            TodoItem("known.total_mass", "weigh the moving parts: the torque alone rarely determines their mass")
-        )
+        items.append(model_sections.total_mass_todo(draft))
     return items
 
 

@@ -8,7 +8,7 @@ from idtool.common.names import join_names
 from idtool.dynamics.effects import effect_types
 from idtool.setup.bounds import search_paths
 from idtool.setup.draft import Draft
-from idtool.setup.records import ConfigSection
+from idtool.setup.records import ConfigSection, TodoItem
 from idtool.setup.sections import errors, sized
 from idtool.setup.transmissions import rotor_template, solid_ellipsoid
 from idtool.setup.trials import TrialResults, search_of, searched_entry, term_type, trial_of
@@ -22,7 +22,8 @@ def rotors(draft: Draft) -> ConfigSection:
         "Rotors of geared motors: bodies that spin at gear_ratio times the speed of a joint. Replace every null by a "
         "value.",
         f"Gear ratios in the URDF (<transmission>): {', '.join(told) or 'none'}. The inertia is about the centre of "
-        "mass.",
+        "mass. In place of inertial, inertia about the axis is enough, a number: all else but joint and gear_ratio may "
+        "then be left out.",
     ]
     if len(told) < len(known):
         one = join_names([name for name, ratio in known.items() if abs(ratio) == 1])
@@ -41,6 +42,19 @@ def rotors(draft: Draft) -> ConfigSection:
         key = link or _free_name(draft, name)
         template[key] = rotor_template(draft.robot, draft.robot.joints[name], None if abs(ratio) == 1 else ratio, link)
     return ConfigSection("rotors", (), None, tuple(comments), template)
+
+
+def armature(draft: Draft) -> ConfigSection | None:
+    """The section ``armature``: a template for joints without a rotor; None if all have one."""
+    joints = draft.without_rotor
+    if not joints:
+        return None
+    comments = (
+        f"Reflected inertia of rotors (inertia × gear ratio²), {draft.unit('inertia', joints)}, in place of rotors: "
+        "auto is estimated on each joint without a rotor; a number, for all joints or by joint, is known.",
+        f"Joints without one: {join_names(joints)}.",
+    )
+    return ConfigSection("armature", (), None, comments, "auto")
 
 
 def _free_name(draft: Draft, joint: str) -> str:
@@ -166,5 +180,22 @@ def known(draft: Draft) -> ConfigSection:
         "total_mass: mass of all moving parts, including rotors; it is easy to measure, and the torque rarely "
         "determines it."
     )
+    remarks = [what, whole, prior]
+    if draft.standing_links:
+        remarks.append(f"A scale also weighs what stands still and is not in the model; subtract {_standing(draft)}.")
     entry = {link: {"value": None, "standard_error": None} for link in links[:1]}
-    return ConfigSection("known", (), None, (what, whole, prior), {"mass": entry, "total_mass": None})
+    return ConfigSection("known", (), None, tuple(remarks), {"mass": entry, "total_mass": None})
+
+
+def total_mass_todo(draft: Draft) -> TodoItem:
+    """What to do to get the total mass."""
+    what = "weigh the moving parts: the torque alone rarely determines their mass"
+    if draft.standing_links:
+        what += f"; if you weigh the whole robot, subtract {_standing(draft)}"
+    return TodoItem("known.total_mass", what)
+
+
+def _standing(draft: Draft) -> str:
+    """The links that stand still, with their mass, in words."""
+    mass = sum(draft.standing_links.values())
+    return f"{join_names(draft.standing_links)}, {mass:.4g} kg in the URDF"

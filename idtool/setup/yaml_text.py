@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from idtool.common.outputs import as_yaml
+from idtool.robot.config.schema import SCHEMA_FILE
 from idtool.setup.records import ConfigSection
 
 _WIDTH = 116  # characters of a line, less those of a comment's sign
@@ -20,7 +21,7 @@ def one_line(text: str) -> str:
 
 
 def configuration_text(header: Sequence[str], sections: Sequence[ConfigSection]) -> str:
-    """The text of the configuration.
+    """The text of the configuration, which first names its JSON schema for editors.
 
     Parameters
     ----------
@@ -29,7 +30,8 @@ def configuration_text(header: Sequence[str], sections: Sequence[ConfigSection])
     sections
         Sections of the configuration.
     """
-    return "\n".join([_comment(header), *map(_block, sections)])
+    for_editors = f"# yaml-language-server: $schema={SCHEMA_FILE}\n"
+    return for_editors + "\n".join([_comment(header), *map(_block, sections)])
 
 
 def _comment(sentences: Sequence[str]) -> str:

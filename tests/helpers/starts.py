@@ -17,7 +17,7 @@ from spatial_arm import ARM, JOINTS
 from idtool.robot.config import Config, parse_config, read_config
 
 SECONDS, NOISE = 12.0, 0.02  # s; N·m
-TEMPLATES = ("log", "friction", "rotors", "effects", "bounding_ellipsoids", "controller", "known")
+TEMPLATES = ("log", "friction", "rotors", "armature", "effects", "bounding_ellipsoids", "controller", "known")
 
 
 def arm(seconds: float = SECONDS, **changes: np.ndarray[Any, Any]) -> Log:

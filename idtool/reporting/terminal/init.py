@@ -5,6 +5,7 @@ from __future__ import annotations
 from idtool.reporting.results.setup import InitReport
 from idtool.reporting.sections.setup import StartErrorsSection
 from idtool.reporting.terminal.base import Terminal
+from idtool.robot.config.schema import SCHEMA_FILE
 
 
 def show_initial_config(terminal: Terminal, report: InitReport) -> None:
@@ -15,6 +16,6 @@ def show_initial_config(terminal: Terminal, report: InitReport) -> None:
         terminal.say(f"found: {line}")
     for item in report.left:
         terminal.say(f"to fill in: {item.key}: {item.what}", "yellow" if item.needed else None)
-    terminal.say(f"written: {report.file}")
+    terminal.say(f"written: {report.file}; beside it {SCHEMA_FILE}, with which editors complete and check it")
     then = f"next, after filling in {' and '.join(report.needed)}" if report.needed else "next"
     terminal.say(f"{then}: {report.next}")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+import json
 
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 from typing_extensions import override
 
 from idtool.robot.config.config import Config
+
+SCHEMA_FILE = "idtool.schema.json"
 
 
 class _ConfigSchema(GenerateJsonSchema):
@@ -20,6 +22,7 @@ class _ConfigSchema(GenerateJsonSchema):
         return {"anyOf": union["oneOf"]} if "oneOf" in union else union
 
 
-def config_schema() -> dict[str, Any]:
-    """The JSON schema of the configuration, of draft 2020-12."""
-    return Config.model_json_schema(schema_generator=_ConfigSchema)
+def config_schema() -> str:
+    """The JSON schema of the configuration, of draft 2020-12, as the text of a file."""
+    schema = Config.model_json_schema(schema_generator=_ConfigSchema)
+    return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
