@@ -59,6 +59,8 @@ IDS_ELSEWHERE = {
     ): "a message; data comes before dynamics and can ask none",
     ("data/inspection/motion_findings.py", "torque_gain"): "likewise",
     ("estimation/dataset/imu_delay.py", "imu_delay"): "the code of a notice",
+    ("robot/config/example.py", "torque_offset"): "an example for messages; robot comes before dynamics",
+    ("robot/config/unknown_keys.py", "rotor_inertia"): "a mistaken key; likewise",
     ("reporting/export/transmissions.py", "rotor_inertia"): "Drake's tag, drake:rotor_inertia",
 }
 

@@ -148,3 +148,29 @@ def _ball(own: Robot) -> tuple[float, float, float]:
     from idtool.robot.bounding import bounding_ellipsoids
 
     return bounding_ellipsoids(own)[0]["turret"].semi_axes
+
+
+def test_armature_is_offered_to_joints_without_a_rotor(tmp_path: Path) -> None:
+    given = tmp_path / "given.yaml"
+    given.write_text("rotors: {lift_rotor: {joint: lift, gear_ratio: 9, inertia: 1.0e-5}}\n")
+    urdf, log = robot(tmp_path), as_csv(tmp_path / "run.csv", arm(4.0))
+    report = init(urdf, log, "--config", given)
+    text = Path(report["file"]).read_text()
+    assert "# Joints without one: turn, roll.\n# armature: auto\n" in text
+    assert filled(text).armature == "auto"
+    given.write_text("armature: {lift: 0.01}\n")
+    report = init(urdf, log, "--config", given, "--force")
+    assert report["config"]["armature"] == {"lift": 0.01}
+    assert not [trial for trial in report["trials"] if trial["effect"] == "rotor_inertia"]
+    assert "rotors" not in {item["key"] for item in report["left"]}
+
+
+def test_what_stands_still_is_to_be_subtracted_from_the_total_mass(tmp_path: Path) -> None:
+    heavy = '<link name="trunk"><inertial><mass value="6.9"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+    text = with_links(("plate", "base")).replace(
+        "</robot>", f"{heavy}</inertial></link>{joint('trunk_joint', 'fixed', 'base', 'trunk', '')}</robot>"
+    )
+    report = init(robot(tmp_path, text), as_csv(tmp_path / "run.csv", arm(4.0)))
+    (left,) = [item["what"] for item in report["left"] if item["key"] == "known.total_mass"]
+    assert left.endswith("if you weigh the whole robot, subtract plate, trunk, 7 kg in the URDF")
+    assert "subtract plate, trunk, 7 kg in the URDF." in Path(report["file"]).read_text().replace("\n# ", " ")

@@ -14,6 +14,8 @@ from robots import joint
 from spatial_arm import ARM
 from starts import arm, as_csv, as_states, filled, init, robot
 
+from idtool.robot.config.schema import config_schema
+
 TRANSMISSION = (
     '<transmission name="t"><type>SimpleTransmission</type><joint name="lift"/>'
     '<actuator name="m"><mechanicalReduction>-6.5</mechanicalReduction></actuator></transmission>'
@@ -170,3 +172,11 @@ def test_terminal_ends_with_what_was_found_what_is_left_and_the_next_command(tmp
     assert list(dict.fromkeys(kinds)) == ["found", "to fill in", "written", "next"]
     assert lines[-1] == f"next: idtool fit {urdf} {run}"
     assert idtool("init", urdf, run, "--force", "--quiet").out == ""
+
+
+def test_the_first_line_names_the_schema_beside_the_file(tmp_path: Path) -> None:
+    report = init(robot(tmp_path), as_csv(tmp_path / "run.csv", arm(4.0)), "--out", tmp_path / "deeper" / "first.yaml")
+    file = Path(report["file"])
+    first, _, _ = file.read_text().partition("\n")
+    assert first == "# yaml-language-server: $schema=idtool.schema.json"
+    assert (file.parent / "idtool.schema.json").read_text() == config_schema()

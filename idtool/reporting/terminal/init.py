@@ -16,6 +16,6 @@ def show_initial_config(terminal: Terminal, report: InitReport) -> None:
         terminal.say(f"found: {line}")
     for item in report.left:
         terminal.say(f"to fill in: {item.key}: {item.what}", "yellow" if item.needed else None)
-    terminal.say(f"written: {report.file}; beside it {SCHEMA_FILE}, with which editors complete and check it")
+    terminal.say(f"written: {report.file}, {SCHEMA_FILE}")
     then = f"next, after filling in {' and '.join(report.needed)}" if report.needed else "next"
     terminal.say(f"{then}: {report.next}")
