@@ -158,7 +158,10 @@ def controller(draft: Draft) -> ConfigSection | None:
     given, delay = draft.given.get("controller"), {"delay": "auto"}
     if given is None:
         template = {"kp": dict.fromkeys(names), "kd": dict.fromkeys(names), **delay}
-        remark = "Without these gains, nothing can be fitted: replace every null of kp and kd by a value."
+        remark = (
+            "Without these gains, nothing can be fitted: replace every null of kp and kd by a value; one number, as in "
+            "kp: 25, is that of all joints."
+        )
         return ConfigSection("controller", (f"{what}.", *late), None, (remark,), template)
     said = f"{what} (given in {draft.origin})."
     if "delay" in given:
