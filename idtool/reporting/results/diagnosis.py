@@ -151,7 +151,7 @@ class StepReport(EffectReport):
 class DataFault(Record):
     """A fault of the logs."""
 
-    fault: str = field("Its id, see [Reading a diagnosis](howto/diagnosis.md#1-data-faults).")
+    fault: str = field("Its id, see [Reading a diagnosis](howto/diagnosis.md#data-faults).")
     joint: str | None = field(
         "The joint; `imu`, `pose` or the name of a foot for a fault of these; null: the log, or all joints."
     )

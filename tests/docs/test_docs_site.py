@@ -1,0 +1,66 @@
+"""The documentation's site, opened from disk in Chromium: no errors, nothing wider than a phone, dark mode, search."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from browser import DRIVER, Browser, browser
+from doc_pages import DOCS, PAGES, pages
+from mkdocs.commands.build import build
+from mkdocs.config import load_config
+
+pytestmark = pytest.mark.skipif(DRIVER is None, reason="no chromedriver: install Debian's chromium-driver or Chrome's")
+
+SECONDS = 10.0  # that a search may take
+BROKEN = "return [...document.images].filter((image) => !image.naturalWidth).map((image) => image.src);"
+SEARCH = """const field = document.getElementById("mkdocs-search-query");
+field.value = arguments[0]; field.dispatchEvent(new Event("input"));"""
+RESULTS = "return document.getElementById('mkdocs-search-results').innerText;"
+LINKS = """return [...document.querySelectorAll("#mkdocs-search-results a")].map((link) => link.href);"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    build(load_config(str(DOCS / "mkdocs.yml"), site_dir=str(folder)))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def opened() -> Iterator[Browser]:
+    with browser() as one:
+        yield one
+
+
+def test_every_page_fits_a_phone_and_has_no_errors(site: Path, opened: Browser) -> None:
+    for page in pages():
+        name = page.relative_to(PAGES)
+        found = opened.use(site / name.with_suffix(".html"), 400, dark=True)
+        assert (found["wrong"], found["wide"], found["dark"]) == ([], False, True), name
+
+
+@pytest.mark.parametrize("name", ["index.html", "benchmarks.html"])
+def test_pictures_are_there_on_a_light_desk(site: Path, opened: Browser, name: str) -> None:
+    found = opened.use(site / name, 1400, dark=False)
+    assert (found["wrong"], found["wide"], found["dark"]) == ([], False, False)
+    assert opened.run(BROKEN) == []
+
+
+def searched(opened: Browser, words: str) -> list[str]:
+    """Addresses of the sections that are found."""
+    opened.run(SEARCH, words)
+    end = time.monotonic() + SECONDS
+    while not opened.run(RESULTS) and time.monotonic() < end:
+        pass
+    links: list[str] = opened.run(LINKS)
+    return links
+
+
+def test_search_works_without_a_server(site: Path, opened: Browser) -> None:
+    opened.use(site / "howto" / "report.html", 1400, dark=False)
+    assert searched(opened, "stribeck_fr")[0] == f"{(site / 'effects.html').as_uri()}#stribeck_friction"
+    assert any("#bounds-of-the-bodies" in link for link in searched(opened, "bounding ellipsoids"))
+    assert searched(opened, "no:such^word") == []
