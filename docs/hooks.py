@@ -1,7 +1,7 @@
 """Hook of mkdocs: the search index also as a script.
 
-Browsers let a page that is opened from disk load scripts, but no data and no workers. ``theme/search/main.js`` reads this
-script in place of mkdocs' ``search_index.json``.
+Browsers let a page that is opened from disk load scripts, but no data and no workers. ``theme/search/main.js`` reads
+this script in place of mkdocs' ``search_index.json``.
 """
 
 from __future__ import annotations

@@ -1,10 +1,14 @@
-"""Draw the picture in README.md: ``python docs/picture.py`` writes ``docs/pages/images/report.svg``.
+"""Pictures of the sample leg's report: ``python docs/picture.py`` writes ``report.svg`` and ``report.png``.
 
-It fits the sample leg, and plots torque and residual over four seconds of the validation log, as in report.html.
+They are in docs/pages/images/. The first shows torque and residual over four seconds of the validation log, as in
+report.html. The second, in README.md, is a photograph of the beginning of report.html; it needs Chromium.
 """
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +17,11 @@ import numpy as np
 import idtool
 
 ROOT = Path(__file__).parent.parent
-PICTURE = ROOT / "docs" / "pages" / "images" / "report.svg"
+IMAGES = ROOT / "docs" / "pages" / "images"
+
+PAGE_WIDTH, PAGE_HEIGHT = 1100, 1260  # px, of the photograph
+DRAWING_TIME = 20_000  # ms, that the browser has for the figures in 3D
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 
 LENGTH = 4.0  # s
 WIDTH, LEFT, RIGHT, TOP, BOTTOM = 800, 64, 12, 44, 40  # px
@@ -66,7 +74,7 @@ def panel(traces: list[Any], start: float, top: float, height: float, title: str
         t = np.array(trace.x) - start
         y = np.array(trace.y, dtype=float)
         shown = np.isfinite(y) & (t <= LENGTH)
-        curves.append((trace, t[shown][::2], y[shown][::2]))  # the report has pairs of points, 200 a second
+        curves.append((trace, t[shown], y[shown]))
     least = min(float(y.min()) for _, _, y in curves)
     greatest = max(float(y.max()) for _, _, y in curves)
     scale = (height - 10) / (greatest - least)  # px per unit
@@ -86,15 +94,39 @@ def panel(traces: list[Any], start: float, top: float, height: float, title: str
     return lines
 
 
-def main(file: Path = PICTURE) -> None:
-    """Fit the leg and write the picture."""
+def fitted(quick: bool) -> idtool.FitResult:
+    """The model of the sample leg."""
     samples = ROOT / "sample_logs"
-    result = idtool.fit(
-        samples / "leg.urdf", samples / "leg_train.mcap", validate=samples / "leg_validate.mcap", quick=True
+    return idtool.fit(
+        samples / "leg.urdf", samples / "leg_train.mcap", validate=samples / "leg_validate.mcap", quick=quick
     )
+
+
+def photograph(page: Path, file: Path) -> None:
+    """Write the beginning of a page as a PNG.
+
+    Raises
+    ------
+    SystemExit
+        If there is no Chromium.
+    """
+    browser = next(filter(None, map(shutil.which, CHROMIUM)), None)
+    if browser is None:
+        raise SystemExit("error: chromium: is not installed; the photograph of report.html needs it")
+    options = ["--headless=new", "--no-sandbox", "--hide-scrollbars", "--use-angle=swiftshader"]
+    options += ["--enable-unsafe-swiftshader", f"--window-size={PAGE_WIDTH},{PAGE_HEIGHT}"]
+    options += [f"--virtual-time-budget={DRAWING_TIME}", f"--screenshot={file}"]
+    subprocess.run([browser, *options, page.as_uri()], check=True, capture_output=True)  # noqa: S603
+
+
+def main(file: Path = IMAGES / "report.svg") -> None:
+    """Fit the leg and draw torque and residual."""
     file.parent.mkdir(exist_ok=True)
-    file.write_text(picture(result))
+    file.write_text(picture(fitted(quick=True)))
 
 
 if __name__ == "__main__":
     main()
+    with tempfile.TemporaryDirectory() as folder:
+        fitted(quick=False).save(folder)
+        photograph(Path(folder, "report.html"), IMAGES / "report.png")

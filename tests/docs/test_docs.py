@@ -100,6 +100,8 @@ def test_every_page_has_something_to_run_or_is_a_reference() -> None:
         "notices.md",
         "python.md",
         "benchmarks.md",
+        "comparison.md",
+        "contributing.md",
     }
 
 

@@ -1,14 +1,17 @@
-"""The picture in README.md agrees with the script that draws it."""
+"""The pictures of the report are small and on their pages; the drawn one agrees with the script that draws it."""
 
 from __future__ import annotations
 
 import re
 import runpy
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 from doc_pages import DOCS, README
 from lxml import etree
+from paths import CHECKOUT
 
 COMMITTED = DOCS / "pages" / "images" / "report.svg"
 
@@ -24,7 +27,17 @@ def test_the_picture_is_up_to_date(tmp_path: Path) -> None:
     assert new.count("<polyline") == 3 * curves_per_joint
 
 
-@pytest.mark.parametrize("page", [README, DOCS / "pages" / "index.md"], ids=["README.md", "index.md"])
-def test_the_picture_is_small_and_on_the_page(page: Path) -> None:
-    assert COMMITTED.stat().st_size < 200_000
-    assert str(COMMITTED.relative_to(page.parent)) in page.read_text()
+@pytest.mark.parametrize(
+    ("page", "picture"),
+    [(README, COMMITTED.with_suffix(".png")), (DOCS / "pages" / "index.md", COMMITTED)],
+    ids=["README.md", "index.md"],
+)
+def test_the_picture_is_small_and_on_the_page(page: Path, picture: Path) -> None:
+    assert picture.stat().st_size < 200_000
+    assert str(picture.relative_to(page.parent)) in page.read_text()
+
+
+def test_the_citation_has_the_version_and_the_license_of_the_package() -> None:
+    citation = yaml.safe_load((DOCS / "CITATION.cff").read_text())
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]
+    assert (citation["version"], citation["license"]) == (project["version"], project["license"])
