@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,8 +15,10 @@ from mkdocs.config import load_config
 
 pytestmark = pytest.mark.skipif(DRIVER is None, reason="no chromedriver: install Debian's chromium-driver or Chrome's")
 
-SECONDS = 10.0  # that a search may take
+SECONDS = 10.0  # that a search or a change of colours may take
 BROKEN = "return [...document.images].filter((image) => !image.naturalWidth).map((image) => image.src);"
+THEME = "return document.documentElement.dataset.bsTheme;"
+BACKGROUND = "return getComputedStyle(document.body).backgroundColor;"
 SEARCH = """const field = document.getElementById("mkdocs-search-query");
 field.value = arguments[0]; field.dispatchEvent(new Event("input"));"""
 RESULTS = "return document.getElementById('mkdocs-search-results').innerText;"
@@ -39,13 +42,25 @@ def test_every_page_fits_a_phone_and_has_no_errors(site: Path, opened: Browser) 
     for page in pages():
         name = page.relative_to(PAGES)
         found = opened.use(site / name.with_suffix(".html"), 400, dark=True)
-        assert (found["wrong"], found["wide"], found["dark"]) == ([], False, True), name
+        assert (found["wrong"], found["wide"]) == ([], False), name
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_colours_are_those_of_the_system(site: Path, opened: Browser, dark: bool) -> None:
+    opened.use(site / "index.html", 1400, dark)
+    wanted = "dark" if dark else "light"
+    end = time.monotonic() + SECONDS
+    while opened.run(THEME) != wanted and time.monotonic() < end:  # the browser may tell the page later
+        pass
+    assert opened.run(THEME) == wanted
+    red, _, _ = map(int, re.findall(r"\d+", opened.run(BACKGROUND))[:3])
+    assert (red < 128) == dark
 
 
 @pytest.mark.parametrize("name", ["index.html", "benchmarks.html"])
-def test_pictures_are_there_on_a_light_desk(site: Path, opened: Browser, name: str) -> None:
+def test_pictures_are_there_on_a_desk(site: Path, opened: Browser, name: str) -> None:
     found = opened.use(site / name, 1400, dark=False)
-    assert (found["wrong"], found["wide"], found["dark"]) == ([], False, False)
+    assert (found["wrong"], found["wide"]) == ([], False)
     assert opened.run(BROKEN) == []
 
 
