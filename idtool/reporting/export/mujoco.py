@@ -119,7 +119,7 @@ def _controller_lines(scene: Scene) -> list[str]:
     lines.append(f"with a command that is delayed by {delay.value!r} s." if delay else unknown)
     for name in scene.forces:
         kp = controller.kp_of(name)
-        if kp is not None:
+        if kp is not None and not np.isnan([kp, controller.kd_of(name)]).any():
             lines.append(f"  {name}: kp {kp!r}, kd {controller.kd_of(name)!r}")
     return lines
 
