@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from idtool.common.notice import Notice
 from idtool.diagnosis.trial import FAILURES, with_effects
 from idtool.dynamics.effects import effect_types, friction_types
 from idtool.dynamics.effects.joint_effect import JointEffect
-from idtool.common.notice import Notice
 from idtool.estimation.command_delay import with_delay
 from idtool.estimation.controller_gains import with_gains
 from idtool.estimation.dataset.experiment import Experiment, Progress

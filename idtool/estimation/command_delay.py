@@ -206,7 +206,9 @@ def command_delay(experiment: Experiment, progress: Progress) -> CommandDelay | 
     return result[0] if result else None
 
 
-def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay, tuple[Blocks, ...], DelayPolynomial] | None:
+def _fit_delay(
+    experiment: Experiment, progress: Progress
+) -> tuple[CommandDelay, tuple[Blocks, ...], DelayPolynomial] | None:
     """The fitted delay, and the data with the torque at many delays."""
     controller = experiment.config.controller
     by_command = np.any([run.signals.controller.joints for run in experiment.runs if run.train], axis=0)
@@ -278,14 +280,15 @@ class DelayPolynomial:
     def __init__(self, band_hz: float, given: float | None = None) -> None:
         if given is not None:
             self.delays: list[float] = [given]
-            self._coefficients, self._slopes = np.ones((1, 1)), np.zeros((1, 1))
+            self._coefficients: Array = np.ones((1, 1))
+            self._slopes: Array = np.zeros((1, 1))
             return
         # The error at the band's edge is (x / 2)^K / K! or so, x the phase that the longest delay makes there.
         count = int(np.ceil(1.25 * np.pi * band_hz * MAX_DELAY)) + 7
         places = -np.cos(np.pi * np.arange(count) / (count - 1))
         self.delays = (MAX_DELAY * (1 + places) / 2).tolist()
-        self._coefficients = np.linalg.inv(chebvander(places, count - 1))
-        self._slopes = chebder(self._coefficients) * 2 / MAX_DELAY
+        self._coefficients = np.asarray(np.linalg.inv(chebvander(places, count - 1)))
+        self._slopes = np.asarray(chebder(self._coefficients) * 2 / MAX_DELAY)
 
     def weights(self, delay: float) -> Array:
         """Weights w, shape (K,)."""
@@ -308,7 +311,12 @@ class _Profile:
     """
 
     def __init__(
-        self, equation: LinearModel, equalities: EqualityConstraints, data: Reduction, noise: Array, lags: DelayPolynomial
+        self,
+        equation: LinearModel,
+        equalities: EqualityConstraints,
+        data: Reduction,
+        noise: Array,
+        lags: DelayPolynomial,
     ) -> None:
         self._lags = lags
         every = equation.coefficients

@@ -43,7 +43,6 @@ from idtool.dynamics.effects import friction_types
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import DelayPolynomial, minimizing_delay, projected_out, scaled_least_squares
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
-from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, Run
 from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.estimation.dataset.weights import freedom_left
@@ -89,12 +88,15 @@ class ControllerGains:
         What fixed the scale, by joint.
     includes_friction
         Joints whose kd includes viscous friction.
+    is_total_mass_known
+        True if the prior has a total mass that was measured.
     """
 
     kp: Mapping[str, UncertainValue]
     kd: Mapping[str, UncertainValue]
     scales: Mapping[str, ScaleSource]
     includes_friction: tuple[str, ...]
+    is_total_mass_known: bool
 
     @property
     def text(self) -> str:
@@ -116,8 +118,12 @@ class ControllerGains:
                 "the logs tell gains only relative to masses, and those of the prior are used: if all masses are 10 % "
                 f"wrong, so are the gains: {join_names(by_prior)}"
             )
-            advice = "weigh the robot and set known.total_mass, give one kp, or log the torque of one joint"
-            notices.append(Notice("controller_gains_scale", "warning", "controller", message, advice))
+            advice = "give one kp, or log the torque of one joint"
+            if self.is_total_mass_known:
+                notices.append(Notice("controller_gains_scale", "note", "controller", message, advice))
+            else:
+                advice = f"weigh the robot and set known.total_mass, {advice}"
+                notices.append(Notice("controller_gains_scale", "warning", "controller", message, advice))
         uncertain = []
         for name, gains in (("kp", self.kp), ("kd", self.kd)):
             uncertain += [f"{name} of {joint}" for joint, gain in gains.items() if _is_uncertain(gain)]
@@ -173,7 +179,8 @@ def with_gains(experiment: Experiment, progress: Progress) -> tuple[Experiment, 
         joint_controller = JointController.from_log(signals.log, signals.joints, known)
         runs.append(replace(run, signals=signals.with_controller(joint_controller)))
     scales = {gain.joint: fit.scale.sources[gain.index] for gain in gains}
-    result = ControllerGains(fitted["kp"], fitted["kd"], scales, includes_friction)
+    is_weighed = config.known.total_mass is not None
+    result = ControllerGains(fitted["kp"], fitted["kd"], scales, includes_friction, is_weighed)
     return replace(experiment, config=config, runs=tuple(runs)), result
 
 
@@ -183,10 +190,13 @@ def _with_numbers(
     """The controller with fitted gains; joints whose gains are still unknown have none: their torque was logged."""
     kp, kd = {}, {}
     for joint in joints:
-        values = {"kp": controller.kp_of(joint), "kd": controller.kd_of(joint)}
-        values |= {name: gains[joint].value for name, gains in fitted.items() if joint in gains}
-        if values["kp"] is not None and not np.isnan(list(values.values())).any():
-            kp[joint], kd[joint] = values["kp"], values["kd"]
+        own_kp, own_kd = controller.kp_of(joint), controller.kd_of(joint)
+        if joint in fitted["kp"]:
+            own_kp = fitted["kp"][joint].value
+        if joint in fitted["kd"]:
+            own_kd = fitted["kd"][joint].value
+        if own_kp is not None and np.isfinite(own_kp + own_kd):
+            kp[joint], kd[joint] = own_kp, own_kd
     return controller.model_copy(update={"kp": kp, "kd": kd})
 
 
@@ -272,8 +282,8 @@ def _rows(equation: LinearModel, run: Run, gains: Sequence[_Gain], lags: DelayPo
 
 def _unit_controller(controller: JointController, kp: float, kd: float) -> JointController:
     """The controller with gains alike for all joints that it drives."""
-    driven = controller.joints[:, None]
-    return replace(controller, kp=kp * driven, kd=kd * driven)
+    driven = np.where(controller.joints, 1.0, 0.0)[:, None]
+    return replace(controller, kp=np.asarray(kp * driven), kd=np.asarray(kd * driven))
 
 
 @dataclass(frozen=True)
@@ -380,7 +390,7 @@ class _GainFit:
         return joints
 
     def _initial(self, rows: Sequence[_JointRows]) -> _Estimate:
-        """The delay with the least residuals of the joints by themselves; gains and friction with the prior's bodies."""
+        """The delay with the least residuals of the joints alone, and gains and friction with the prior's bodies."""
         delay = self._lags.delays[0]
         if len(self._lags.delays) > 1:
             delay = minimizing_delay(lambda d: self._cost_alone(rows, self._lags.weights(d)))

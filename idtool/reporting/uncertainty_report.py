@@ -20,6 +20,7 @@ from idtool.reporting.results.fit import (
     BiasParameter,
     BiasReport,
     ControllerDelay,
+    ControllerGainsReport,
     CorrelatedParameter,
     ParameterSource,
     ReflectedInertia,
