@@ -229,7 +229,7 @@ def _check(experiment: Experiment, gains: Sequence[_Gain]) -> tuple[str, ...]:
     if experiment.equation.contacts is not None:
         raise ConfigError(key, "fit is not for a floating base, contacts or wrench sensors; give a number")
     if experiment.equation.has_sensors or any(effect.uses_measured_torque for effect in experiment.equation.effects):
-        what = "fit is not for models with effects on the measured torque, or joint_elasticity"
+        what = "fit is not for models with effects on the measured torque, or with elastic joints"
         raise ConfigError(key, f"{what}; give a number, or remove these effects")
     viscous = friction_types()["viscous"].id
     with_viscous_friction = {c.owner for c in experiment.equation.coefficients if c.effect == viscous}

@@ -210,9 +210,8 @@ class ControllerGainsReport(Record):
     kp_standard_error: float | None = field("Standard error of `kp` for a known scale; null if it was given.")
     kd: float | None = field("Velocity gain [N·m·s/rad or N·s/m]; null if it was given.")
     kd_standard_error: float | None = field("Standard error of `kd` for a known scale; null if it was given.")
-    scale: str = field(
-        "What fixed the common scale of gains, friction and masses: `logged_torque`, `given_gain`, `known_values` or "
-        "`prior`, the prior's bodies."
+    scale: Literal["logged_torque", "given_gain", "known_values", "prior"] = field(
+        "What fixed the common scale of gains, friction and masses; `prior`: the masses of the prior."
     )
 
 
