@@ -54,7 +54,8 @@ class JointController:
                 )
             if controller is None or controller.kp_of(name) is None:
                 raise LogError(
-                    log.path, f"joint {name} has no torque; set its gains controller.kp and kd in the configuration"
+                    log.path,
+                    f"joint {name} has no torque; set its gains controller.kp and kd in the configuration, or fit",
                 )
         if controller is None or not lacks_torque.any():
             return cls(lacks_torque, np.zeros((len(joints), 1)), np.zeros((len(joints), 1)), 0.0)

@@ -15,6 +15,7 @@ import pytest
 from leg_motions import shell
 from leg_truth import CONFIG, JOINTS, TRUTH, URDF, Truth
 from numpy.typing import NDArray
+from paths import CONFIGS, REAL
 from position_leg import GAINS, KD, KP, noisy, position_controlled
 
 from idtool.common.exceptions import ConfigError
@@ -24,7 +25,7 @@ from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.fit import fit
 from idtool.estimation.reduced_experiment import save_reduction
 from idtool.reporting.fit_report import fit_report, model_config
-from idtool.robot.config import UncertainValue, parse_config
+from idtool.robot.config import UncertainValue, parse_config, read_config
 from idtool.robot.urdf.reading import Robot, read_robot
 
 Array = NDArray[np.float64]
@@ -174,7 +175,9 @@ def test_kd_is_not_told_from_viscous_friction_without_a_velocity_command() -> No
     for controller, options in ((FIT, {}), ({**FIT, "delay": "auto"}, {"friction": {"viscous": False}})):
         with pytest.raises(ConfigError, match=r"without a moving vcmd, fit cannot tell kd of abad, hip, knee"):
             fitted_gains(controller, log_without_velocity_command(), **options)
-    gains = fitted_gains({**FIT, "kp": 300.0}, log_without_velocity_command(), friction={"viscous": False, "coulomb": True})
+    gains = fitted_gains(
+        {**FIT, "kp": 300.0}, log_without_velocity_command(), friction={"viscous": False, "coulomb": True}
+    )
     viscous = [TRUTH.friction[name].viscous for name in JOINTS]
     assert values(gains.kd) == pytest.approx(KD + viscous, rel=0.05)
     assert gains.includes_friction == JOINTS
@@ -222,3 +225,22 @@ def test_the_report_has_the_gains_and_the_model_their_numbers() -> None:
     assert written is not None
     assert written.kp_of("knee") == knee.kp
     assert report.friction["knee"].coulomb == pytest.approx(TRUTH.friction["knee"].coulomb, rel=0.03)
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason=f"the real logs are not in {REAL}")
+def test_gains_of_the_go2_are_those_of_its_controller_relative_to_its_masses() -> None:
+    """20, 20 and 40 N·m/rad for hip, thigh and calf, but for a factor by which all masses of its URDF are wrong."""
+    config = read_config(CONFIGS / "go2.yaml")
+    assert config.controller is not None
+    unknown = config.model_copy(update={"controller": config.controller.model_copy(update={"kp": "fit"})})
+    logs = [REAL / "go2" / f"chirp_{run}.csv" for run in (4, 5, 6)]
+    _, gains = with_gains(prepare(read_robot(REAL / "go2" / "go2.urdf"), unknown, logs), silent)
+    assert gains is not None
+    true = {"hip": 20.0, "thigh": 20.0, "calf": 40.0}
+    assert len(gains.kp) == 12
+    for joint, gain in gains.kp.items():
+        (expected,) = (value for part, value in true.items() if part in joint)
+        assert gain.standard_error is not None
+        assert gain.value == pytest.approx(0.88 * expected, rel=0.2)
+        assert abs(gain.value - 0.88 * expected) < 3 * gain.standard_error
+    assert {"controller_gains_scale", "controller_gains_uncertain"} <= {notice.code for notice in gains.notices}
