@@ -56,18 +56,19 @@ def adapt(
         If a log, the configuration or the model cannot be used. Messages contain the option names of the command line.
     """
     from idtool.estimation.command_delay import with_delay
+    from idtool.estimation.controller_gains import with_gains
     from idtool.estimation.dataset.experiment import NOT_SIMULATED
     from idtool.estimation.identification import choose_sets
     from idtool.estimation.online.adapt import adapt as identify_online
 
     report_progress = progress or ignore_progress
     loaded = load_experiment(model, logs, holdout=0.0, progress=report_progress)
-    experiment, delay, _ = with_delay(loaded, report_progress)
+    with_known_gains, gains = with_gains(loaded, report_progress)
+    experiment, delay, _ = with_delay(with_known_gains, report_progress)
     sets, set_notices = choose_sets(experiment.model.bodies, experiment.config.constraints)
     adaptation = identify_online(experiment, sets, forgetting, progress=report_progress)
     notices = [notice for notice in experiment.notices if notice.code not in NOT_SIMULATED]
-    if delay:
-        notices += delay.notices
+    notices += [notice for part in (gains, delay) if part for notice in part.notices]
     notices += set_notices
     result = AdaptationResult.from_result(adaptation_report(adaptation, experiment, notices))
     result._made_by = call_text("adapt", model, logs, **changed_options(adapt, forgetting=forgetting))

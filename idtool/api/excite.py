@@ -28,6 +28,7 @@ from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import with_delay
+from idtool.estimation.controller_gains import with_gains
 from idtool.estimation.dataset.cutoff import with_cutoff_for_period
 from idtool.estimation.dataset.equality_constraints import equality_constraints
 from idtool.estimation.dataset.experiment import Experiment, prepare, sources_of
@@ -377,7 +378,8 @@ def _load_experiment(
     """The experiment of the existing logs, each of which passes a check; None without any."""
     if not logs:
         return None
-    experiment, _, _ = with_delay(prepare(robot, settings, logs, holdout=0.0, transform=check), progress)
+    experiment, _ = with_gains(prepare(robot, settings, logs, holdout=0.0, transform=check), progress)
+    experiment, _, _ = with_delay(experiment, progress)
     return with_row_noise(experiment, progress)
 
 

@@ -280,10 +280,13 @@ def fit_experiment(
     with ExitStack() as stack:
         check = None
         can_check = has_samples and experiment.has_only_joints  # a base that moves and contacts are not checked
-        if analyze_uncertainty and can_check:
+        is_background = has_samples and not experiment.lacks_gains  # without gains there is no torque before the fit
+        if analyze_uncertainty and can_check and is_background:
             check = stack.enter_context(Background(partial(_find_data_faults, experiment)))
         solved = run_fit(experiment, progress, simulate and has_samples, analyze_uncertainty, method)
         faults = check.result(progress) if check is not None else ()
+    if analyze_uncertainty and can_check and not is_background:
+        faults = _find_data_faults(solved.experiment, progress)
     fleet = None
     if experiment.config.pool is not None:
         fleet = fit_fleet(solved, progress)

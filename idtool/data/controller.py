@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
-from idtool.common.exceptions import LogError
+from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.channels import Channels
@@ -32,7 +32,7 @@ class JointController:
     joints
         True for joints whose torque is the controller's, shape (nv,).
     kp, kd
-        Gains, shape (nv, 1) [N·m/rad, N·m·s/rad].
+        Gains, shape (nv, 1) [N·m/rad, N·m·s/rad]; NaN where they are yet to be fitted.
     delay
         From command to torque [s]; 0 where it is yet to be fitted.
     """
@@ -54,7 +54,8 @@ class JointController:
                 )
             if controller is None or controller.kp_of(name) is None:
                 raise LogError(
-                    log.path, f"joint {name} has no torque; set its gains controller.kp and kd in the configuration"
+                    log.path,
+                    f"joint {name} has no torque; set its gains controller.kp and kd in the configuration, or fit",
                 )
         if controller is None or not lacks_torque.any():
             return cls(lacks_torque, np.zeros((len(joints), 1)), np.zeros((len(joints), 1)), 0.0)
@@ -63,12 +64,27 @@ class JointController:
         delay = controller.known_delay
         return cls(lacks_torque, kp, kd, delay.value if delay else 0.0)
 
+    @property
+    def lacks_gains(self) -> bool:
+        """True if gains of its joints are yet to be fitted."""
+        return bool(np.isnan([self.kp[self.joints], self.kd[self.joints]]).any())
+
+    def check_gains(self) -> None:
+        """Refuse a controller with gains that are yet to be fitted; ConfigError."""
+        if self.lacks_gains:
+            raise ConfigError("controller", "needs numbers for kp and kd in place of fit; idtool fit finds them")
+
+    def with_unknown_gains(self, kp: float, kd: float) -> JointController:
+        """The controller with values for the gains that are yet to be fitted."""
+        return replace(self, kp=np.where(np.isnan(self.kp), kp, self.kp), kd=np.where(np.isnan(self.kd), kd, self.kd))
+
     def torque(self, channels: Channels, part: slice) -> Array:
         """The torque at samples of the log, shape (nv, N)."""
         return np.asarray(self.torques(channels, part, (self.delay,))[0])
 
     def torques(self, channels: Channels, part: slice, delays: Sequence[float]) -> Array:
         """The torque at samples of the log for each of some delays [s], shape (delays, nv, N)."""
+        self.check_gains()
         feedback = self._feedback(channels, part)
         return np.stack([self._feedforward(channels, part, delay) - feedback for delay in delays])
 

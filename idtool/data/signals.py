@@ -13,6 +13,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar, cast
 
@@ -365,6 +366,12 @@ class Signals:
                     ranges.append(slice(start, stop))
         return ranges
 
+    def with_controller(self, controller: JointController) -> Signals:
+        """The signals with other gains of the joints' controller, of the same delay."""
+        signals = copy(self)
+        signals.controller = controller
+        return signals
+
     def batches(
         self, ranges: Sequence[slice] | None = None, every_sample: bool = False, delays: Sequence[float] = ()
     ) -> Batches[Batch]:
@@ -478,6 +485,14 @@ class Signals:
         if self._wide is None:
             return x
         return self._wide(x, self._wide.reach, self._wide.reach)
+
+    def controller_torques(self, controller: JointController, part: slice, delays: Sequence[float]) -> Array:
+        """Torque of a controller at samples of one of the `ranges` for each of some delays [s], as `Motion` has it.
+
+        Shape (delays, nv, N).
+        """
+        m = self._wide.reach if self._wide else 0
+        return self._smooth(controller.torques(self.channels, slice(part.start - m, part.stop + m), delays))
 
     def _torques(self, part: slice, delays: Sequence[float]) -> tuple[Array, Array]:
         """The logged torque or the controller's: for each delay through the wide filter, and for the first without it.

@@ -103,7 +103,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     """
     started = time.perf_counter()
     check_torques(experiment)
-    experiment, delay = with_unbiased_delay(experiment, progress)
+    experiment, controller_notices = with_unbiased_delay(experiment, progress)
     experiment = replace(experiment, cache=BatchCache())
     model = with_fixed_inertia(experiment) if options.inertia == "fixed" else experiment
     first = fit(model, progress)
@@ -138,7 +138,6 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
     no_maps: ProfilesByJoint = {}
     maps_before = stages.run("the residual map", partial(_maps, first, progress), no_maps)
     maps_after = stages.run("the residual map", partial(_maps, last, progress), no_maps)
-    delay_notices = delay.notices if delay else ()
     short_data = () if stages.has_skipped(_NOISE_FLOOR) else tuple(_short_data_notices(remaining))
     return Diagnosis(
         first=first,
@@ -157,7 +156,7 @@ def diagnose(experiment: Experiment, options: Options, progress: Progress) -> Di
         maps_after=maps_after,
         notices=unique(
             [
-                *delay_notices,
+                *controller_notices,
                 *_doubt_notices(steps),
                 *held_out_notices,
                 *_search_notices(search),

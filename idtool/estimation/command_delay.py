@@ -13,7 +13,7 @@ Letters: p coefficients theta, Y their columns; K delays; g = d tau / d delay.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -206,7 +206,9 @@ def command_delay(experiment: Experiment, progress: Progress) -> CommandDelay | 
     return result[0] if result else None
 
 
-def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay, tuple[Blocks, ...], _Lags] | None:
+def _fit_delay(
+    experiment: Experiment, progress: Progress
+) -> tuple[CommandDelay, tuple[Blocks, ...], DelayPolynomial] | None:
     """The fitted delay, and the data with the torque at many delays."""
     controller = experiment.config.controller
     by_command = np.any([run.signals.controller.joints for run in experiment.runs if run.train], axis=0)
@@ -217,7 +219,7 @@ def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay
             raise ConfigError("controller.delay", "is not fitted for a floating base or with contacts; give it in s")
         return None
     equation, equalities, given = experiment.equation, experiment.equalities, controller.known_delay
-    lags = _Lags(experiment.band_hz)
+    lags = DelayPolynomial(experiment.band_hz)
     data = experiment.blocks(lambda run: _rows(equation, run, lags), progress, "fitting the delay to")
     total = merge_reductions([log.total for log in data])
     value = 0.0
@@ -225,7 +227,7 @@ def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay
         noise = free_noise(equation, lags.at(total, value), equalities)
         profile = _Profile(equation, equalities, total, noise, lags)
         previous = value
-        value = profile.minimizer()
+        value = minimizing_delay(profile.cost)
         if abs(value - previous) < _CONVERGED:
             break
     errors = _DelayErrors(equation, equalities, data, noise, lags, value)
@@ -247,7 +249,7 @@ def _fit_delay(experiment: Experiment, progress: Progress) -> tuple[CommandDelay
     return fitted, data, lags
 
 
-def _rows(equation: LinearModel, run: Run, lags: _Lags) -> Rows:
+def _rows(equation: LinearModel, run: Run, lags: DelayPolynomial) -> Rows:
     """Columns of the torque equation and then the torque at each of the delays, batch after batch."""
     parts = run.signals.delayed_ranges(MAX_DELAY, run.train)
 
@@ -259,8 +261,15 @@ def _rows(equation: LinearModel, run: Run, lags: _Lags) -> Rows:
     return run.signals.batches(parts, delays=lags.delays).map(rows_of)
 
 
-class _Lags:
+class DelayPolynomial:
     """Delays, and the polynomial that interpolates the torque between them: Chebyshev points, so that it does not ring.
+
+    Parameters
+    ----------
+    band_hz
+        The low-pass's cut-off [Hz].
+    given
+        A known delay [s], which is then the only one.
 
     Attributes
     ----------
@@ -268,13 +277,18 @@ class _Lags:
         From 0 to the longest [s], K.
     """
 
-    def __init__(self, band_hz: float) -> None:
+    def __init__(self, band_hz: float, given: float | None = None) -> None:
+        if given is not None:
+            self.delays: list[float] = [given]
+            self._coefficients: Array = np.ones((1, 1))
+            self._slopes: Array = np.zeros((1, 1))
+            return
         # The error at the band's edge is (x / 2)^K / K! or so, x the phase that the longest delay makes there.
         count = int(np.ceil(1.25 * np.pi * band_hz * MAX_DELAY)) + 7
         places = -np.cos(np.pi * np.arange(count) / (count - 1))
-        self.delays: list[float] = (MAX_DELAY * (1 + places) / 2).tolist()
-        self._coefficients = np.linalg.inv(chebvander(places, count - 1))
-        self._slopes = chebder(self._coefficients) * 2 / MAX_DELAY
+        self.delays = (MAX_DELAY * (1 + places) / 2).tolist()
+        self._coefficients = np.asarray(np.linalg.inv(chebvander(places, count - 1)))
+        self._slopes = np.asarray(chebder(self._coefficients) * 2 / MAX_DELAY)
 
     def weights(self, delay: float) -> Array:
         """Weights w, shape (K,)."""
@@ -297,7 +311,12 @@ class _Profile:
     """
 
     def __init__(
-        self, equation: LinearModel, equalities: EqualityConstraints, data: Reduction, noise: Array, lags: _Lags
+        self,
+        equation: LinearModel,
+        equalities: EqualityConstraints,
+        data: Reduction,
+        noise: Array,
+        lags: DelayPolynomial,
     ) -> None:
         self._lags = lags
         every = equation.coefficients
@@ -307,7 +326,7 @@ class _Profile:
         rows = _weighted(equation, equalities, data, noise, len(lags.delays))
         Y, taus = (np.concatenate(part) for part in zip(*rows, strict=True))
         rest = np.column_stack([Y[:, bounded], taus - (Y[:, bounded] @ lower[bounded])[:, None]])
-        rest = _projected_out(rest, Y[:, ~bounded])
+        rest = projected_out(rest, Y[:, ~bounded])
         R = np.asarray(np.linalg.qr(rest, mode="r"))
         count = int(np.count_nonzero(bounded))
         self._Y, self._taus = R[:, :count], R[:, count:]
@@ -335,15 +354,16 @@ class _Profile:
         own = self._nonnegative_fit(delay)[0][np.isin(self._owners, self._joints[joints])]
         return float(own.mean()) if len(own) else 0.0
 
-    def minimizer(self) -> float:
-        """The delay of least cost [s]."""
-        from scipy.optimize import minimize_scalar
 
-        grid = np.linspace(0, MAX_DELAY, _GRID + 1)
-        best = int(np.argmin([self.cost(delay) for delay in grid]))
-        bracket = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID)])
-        minimum = float(minimize_scalar(self.cost, bounds=bracket, method="bounded", options={"xatol": 1e-8}).x)
-        return min((0.0, minimum, MAX_DELAY), key=self.cost)
+def minimizing_delay(cost: Callable[[float], float]) -> float:
+    """The delay of least cost, from 0 to the longest one that is searched [s]."""
+    from scipy.optimize import minimize_scalar
+
+    grid = np.linspace(0, MAX_DELAY, _GRID + 1)
+    best = int(np.argmin([cost(delay) for delay in grid]))
+    bracket = (grid[max(best - 1, 0)], grid[min(best + 1, _GRID)])
+    minimum = float(minimize_scalar(cost, bounds=bracket, method="bounded", options={"xatol": 1e-8}).x)
+    return min((0.0, minimum, MAX_DELAY), key=cost)
 
 
 class _DelayErrors:
@@ -368,7 +388,7 @@ class _DelayErrors:
         equalities: EqualityConstraints,
         data: Sequence[Blocks],
         noise: Array,
-        lags: _Lags,
+        lags: DelayPolynomial,
         delay: float,
     ) -> None:
         rows = partial(_weighted, equation, equalities, noise=noise, count=len(lags.delays))
@@ -378,9 +398,9 @@ class _DelayErrors:
         every = equation.coefficients
         viscous_friction = friction_types()["viscous"].id
         viscous = np.array([every[i].effect == viscous_friction for i in equalities.free])
-        theta, rank = _least_squares(Y, taus @ w)
-        with_friction, _ = _least_squares(Y, taus @ slopes)
-        without_friction, _ = _least_squares(np.where(viscous, 0.0, Y), taus @ slopes)
+        theta, rank = scaled_least_squares(Y, taus @ w)
+        with_friction, _ = scaled_least_squares(Y, taus @ slopes)
+        without_friction, _ = scaled_least_squares(np.where(viscous, 0.0, Y), taus @ slopes)
         changes = (with_friction, without_friction)
 
         def products(part: Reduction) -> Array:
@@ -431,15 +451,15 @@ def _weighted(
     return rows
 
 
-def _least_squares(Y: Array, right: Array) -> tuple[Array, int]:
-    """The shortest least-squares solution in units of the columns, and the rank of Y."""
+def scaled_least_squares(Y: Array, right: Array) -> tuple[Array, int]:
+    """The shortest least-squares solution in units of the columns, shape (m,) or (m, k), and the rank of Y (n, m)."""
     size = np.linalg.norm(Y, axis=0)
     size[size == 0] = 1.0
     z, rank = least_squares(Y / size, right, _RANK)
-    return z / size, rank
+    return (z.T / size).T, rank
 
 
-def _projected_out(rows: Array, Y: Array) -> Array:
+def projected_out(rows: Array, Y: Array) -> Array:
     """Columns minus their projection onto the span of the columns of Y, shape (rows, k)."""
     size = np.linalg.norm(Y, axis=0)
     U, s, _ = svd(Y[:, size > 0] / size[size > 0])

@@ -11,6 +11,7 @@ from idtool.common.memory import release_freed_memory
 from idtool.common.notice import Notice
 from idtool.dynamics.effects import ParameterValue, effect_from_entry
 from idtool.estimation.command_delay import CommandDelay, command_delay, with_delay
+from idtool.estimation.controller_gains import ControllerGains, with_gains
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduced_logs import ReducedLog, is_reducible, reduce_logs, training_blocks
@@ -84,6 +85,7 @@ class Fit:
     notices: tuple[Notice, ...]
     seconds: dict[str, float]
     delay: CommandDelay | None
+    gains: ControllerGains | None
 
     @property
     def has_held_out(self) -> bool:
@@ -147,6 +149,7 @@ def fit(
     """
     clock = _Clock()
     delay: CommandDelay | None = None
+    gains: ControllerGains | None = None
     data: tuple[Blocks, ...] | None = None
     reduced: tuple[ReducedLog, ...] | None = None
     if isinstance(experiment, ReducedExperiment):
@@ -154,6 +157,7 @@ def fit(
             raise ConfigError("--method iv", "needs the logs: a reduction does not hold their samples")
         reduced = experiment.logs
     else:
+        experiment, gains = with_gains(experiment, progress)
         experiment, delay, data = with_delay(experiment, progress)
         if experiment.equation.contacts is not None:
             experiment = with_row_noise(experiment, progress)
@@ -183,7 +187,8 @@ def fit(
         equation = experiment.equation.linearized_at(decorrelated.equation.operating_theta)
         experiment = replace(experiment, equation=equation)
     estimate = identification.estimate
-    notices = [*experiment.notices, *(delay.notices if delay else ()), *identification.notices]
+    controller_notices = [notice for part in (gains, delay) if part for notice in part.notices]
+    notices = [*experiment.notices, *controller_notices, *identification.notices]
     clock.stop("identify")
 
     models = {"identified": estimate.theta, "prior": experiment.equation.prior}
@@ -224,6 +229,7 @@ def fit(
         notices=tuple(notices),
         seconds=clock.seconds,
         delay=delay,
+        gains=gains,
     )
     if simulate:
         fitted = with_simulation(fitted, simulate_fit(fitted, progress))

@@ -132,6 +132,9 @@ def save_reduction(
     if not is_reducible(experiment):
         what = "has effects that depend on other parameters or act on the measured torque"
         raise ConfigError("effects", f"{what}; idtool reduce cannot handle them, so fit the logs themselves")
+    if experiment.lacks_gains:
+        what = "fit depends on all logs together; fit the logs themselves"
+        raise ConfigError("controller", f"{what}, and give the numbers that idtool fit writes to model.yaml")
     given = experiment.config.controller
     experiment, delay, _ = with_delay(experiment, progress)
     not_of_logs = {*experiment.model.notices, *experiment.loading_notices}

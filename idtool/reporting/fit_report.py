@@ -50,6 +50,7 @@ from idtool.reporting.simulation_report import simulation_report, why_not_simula
 from idtool.reporting.uncertainty_report import (
     base_report,
     bias_report,
+    controller_gains_report,
     controller_report,
     intervals,
     parameter_sources,
@@ -152,6 +153,8 @@ def fit_report(
         effects=[effect_report(fit, entry) for entry in experiment.config.effects],
         rotors=reflected_inertia_report(fit),
         controller=controller_report(fit),
+        controller_gains=controller_gains_report(fit),
+        controller_gains_text=fit.gains.text if fit.gains else None,
         uncertainty=uncertainty_report(fit),
         base_parameters=base_parameters,
         bias=bias_report(fit, analysis.identifiability, analysis.bias),

@@ -20,6 +20,7 @@ from idtool.reporting.results.fit import (
     BiasParameter,
     BiasReport,
     ControllerDelay,
+    ControllerGainsReport,
     CorrelatedParameter,
     ParameterSource,
     ReflectedInertia,
@@ -98,6 +99,24 @@ def controller_report(fit: Fit) -> ControllerDelay | None:
         contradicted=fitted.contradicted if fitted else None,
         text=fitted.text if fitted else None,
     )
+
+
+def controller_gains_report(fit: Fit) -> dict[str, ControllerGainsReport]:
+    """The entry ``controller_gains`` of report.json."""
+    gains = fit.gains
+    if gains is None:
+        return {}
+    reports = {}
+    for joint, source in gains.scales.items():
+        kp, kd = gains.kp.get(joint), gains.kd.get(joint)
+        reports[joint] = ControllerGainsReport(
+            kp=kp.value if kp else None,
+            kp_standard_error=kp.standard_error if kp else None,
+            kd=kd.value if kd else None,
+            kd_standard_error=kd.standard_error if kd else None,
+            scale=source,
+        )
+    return reports
 
 
 def _by_joint(joints: Sequence[str], values: Array) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,6 +110,22 @@ class Draft:
         controller = self.config.controller
         commanded = self.log_summary.commanded
         return tuple(name for name in commanded if controller is None or controller.kp_of(name) is None)
+
+    @property
+    def with_fitted_gains(self) -> tuple[str, ...]:
+        """Joints without torque whose gains are to be fitted."""
+        controller = self.config.controller
+        if controller is None:
+            return self.without_gains if self.can_fit_gains else ()
+        commanded = self.log_summary.commanded
+        gains = [(controller.kp_of(name) or 0.0) + controller.kd_of(name) for name in commanded]
+        return tuple(name for name, gain in zip(commanded, gains, strict=True) if math.isnan(gain))
+
+    @property
+    def can_fit_gains(self) -> bool:
+        """True if both gains can be fitted: it takes velocity commands, and a robot without contacts."""
+        is_free = not self.base.values() and self.config.base.kind == "fixed"
+        return is_free and set(self.log_summary.velocity_commanded) == set(self.log_summary.commanded)
 
     def unit(self, what: str, joints: Sequence[str]) -> str:
         """The unit of a quantity of some joints; both units if some joints are revolute and others prismatic."""

@@ -133,6 +133,9 @@ def _standing_links(robot: Robot, model: RobotModel) -> dict[str, float]:
 
 def _with_trials(draft: Draft, model: RobotModel, progress: Progress) -> Draft:
     """The draft with the results of trials, or the reason why there are none."""
+    if draft.with_fitted_gains:
+        reason = "the controller gains are fitted; give the numbers that idtool fit writes to model.yaml, and run again"
+        return replace(draft, no_trials_reason=reason)
     if draft.without_gains:
         return replace(draft, no_trials_reason=f"the controller gains of {join_names(draft.without_gains)} are missing")
     draft = _with_radius(_with_signs(draft))
@@ -314,7 +317,9 @@ def _kept_effects(results: TrialResults) -> Iterator[str]:
 def _todo_items(draft: Draft) -> list[TodoItem]:
     """Values that the user has to fill in."""
     items = []
-    if draft.without_gains:
+    if fitted := draft.with_fitted_gains:
+        items.append(TodoItem("controller", f"kp and kd of {join_names(fitted)} if you know them: fit estimates them"))
+    elif draft.without_gains:
         items.append(
             TodoItem(
                 "controller", f"kp and kd of {join_names(draft.without_gains)}, because no torque was logged", True

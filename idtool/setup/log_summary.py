@@ -58,6 +58,8 @@ class LogSummary:
         Joints of ``joints`` with a torque or a command in some log.
     commanded
         Joints of ``joints`` with a position command but no torque in some log.
+    velocity_commanded
+        Those of them with a velocity command in every log.
     topic, topics
         The topic that is read, if there are several, and all topics.
     imu_topics, pose_topics
@@ -84,6 +86,7 @@ class LogSummary:
     without_torque: dict[str, str]
     with_torque: tuple[str, ...]
     commanded: tuple[str, ...]
+    velocity_commanded: tuple[str, ...]
     topic: str | None
     topics: tuple[str, ...]
     imu_topics: tuple[str, ...]
@@ -145,6 +148,7 @@ def summarize_logs(robot: Robot, paths: Sequence[Path], given: Config, progress:
         without_torque=without_torque,
         with_torque=tuple(name for name in joints if any({"tau", "qcmd"} & _signals(name, log) for log in logs)),
         commanded=commanded,
+        velocity_commanded=tuple(name for name in commanded if all("vcmd" in log.signals(name) for log in logs)),
         topic=topic if topics else None,
         topics=topics,
         imu_topics=sensors.imu_topics,

@@ -156,6 +156,13 @@ def controller(draft: Draft) -> ConfigSection | None:
     what = f"The joint controller, from which the torque is computed because none was logged: {units} at the joint"
     late = ("delay: time from command to torque, s; auto (default): idtool fit determines it.",)
     given, delay = draft.given.get("controller"), {"delay": "auto"}
+    if given is None and draft.can_fit_gains:
+        relative = (
+            "fit: idtool fit estimates the gains, but only relative to the masses: if all masses are 10 % wrong, so "
+            "are the gains; and only with a complete model: geared joints need rotors or armature. Give the numbers if you "
+            "know them; one number, as in kp: 25, is that of all joints."
+        )
+        return ConfigSection("controller", (f"{what}.", relative, *late), {"kp": "fit", "kd": "fit", **delay})
     if given is None:
         template = {"kp": dict.fromkeys(names), "kd": dict.fromkeys(names), **delay}
         remark = (

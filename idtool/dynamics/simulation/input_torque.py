@@ -46,6 +46,7 @@ class InputTorque:
             smooth = samples_per_step(signals) == 2
             self._logged_torque = SignalInterpolation(signals, windows, self._read_torque, delay=0.0, smooth=smooth)
         if self._has_controller:
+            command.check_gains()
             self._kp = command.kp * by_command
             self._kd = command.kd * by_command
             self._command = SignalInterpolation(signals, windows, self._read_command, delay=command.delay)

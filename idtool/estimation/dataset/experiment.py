@@ -199,6 +199,11 @@ class Experiment:
         """True if the torque of a joint in a log is that of a controller under the logged command."""
         return any(run.signals.controller.joints.any() for run in self.runs)
 
+    @property
+    def lacks_gains(self) -> bool:
+        """True if gains of a controller are yet to be fitted."""
+        return any(run.signals.controller.lacks_gains for run in self.runs)
+
     def is_torque_unknown(self, joint: str) -> bool:
         """True if no log that is fitted has the torque of a joint."""
         return all(joint in run.signals.log.unknown_torque for run in self.runs if run.train)

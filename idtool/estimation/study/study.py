@@ -18,6 +18,7 @@ from idtool.common.exceptions import ConfigError, SolverError
 from idtool.common.notice import Notice
 from idtool.common.processes import shared_among_processes
 from idtool.estimation.command_delay import CommandDelay, with_delay
+from idtool.estimation.controller_gains import ControllerGains, with_gains
 from idtool.estimation.dataset.experiment import NOT_SIMULATED, Experiment, Progress
 from idtool.estimation.dataset.reduced_logs import ReducedLog, is_reducible, reduce_logs
 from idtool.estimation.dataset.reduction import Reduction
@@ -147,10 +148,12 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
         raise ConfigError("--holdout", "a study compares errors on held-out data; use a larger --holdout or --validate")
     experiment = _weakly_regularized(experiment)
     delay: CommandDelay | None = None
+    gains: ControllerGains | None = None
     logs: Sequence[ReducedLog] | None = None
     if isinstance(experiment, ReducedExperiment):
         logs = experiment.logs
     else:
+        experiment, gains = with_gains(experiment, progress)
         experiment, delay, _ = with_delay(experiment, progress)
         experiment = with_row_noise(experiment, progress)
         if is_reducible(experiment):
@@ -164,7 +167,7 @@ def study(experiment: Experiment, progress: Progress, draws: int = DRAWS) -> Stu
     total = data.total
     noise = free_noise(equation, total, experiment.equalities)
     notices = [notice for notice in experiment.notices if notice.code not in NOT_SIMULATED]
-    notices += delay.notices if delay else ()
+    notices += [notice for part in (gains, delay) if part for notice in part.notices]
     names = [name for name, s in constraint_sets().items() if any(map(s.applies_to, experiment.model.bodies))]
     problem_of = {name: _problem_builder(experiment, name, noise) for name in names}
     candidates = {}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from lxml import etree
 
 from idtool.common.version import VERSION
@@ -119,7 +121,7 @@ def _controller_lines(scene: Scene) -> list[str]:
     lines.append(f"with a command that is delayed by {delay.value!r} s." if delay else unknown)
     for name in scene.forces:
         kp = controller.kp_of(name)
-        if kp is not None:
+        if kp is not None and math.isfinite(kp + controller.kd_of(name)):
             lines.append(f"  {name}: kp {kp!r}, kd {controller.kd_of(name)!r}")
     return lines
 

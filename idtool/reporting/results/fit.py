@@ -203,6 +203,18 @@ class ControllerDelay(Record):
     text: str | None = field("Summary as a sentence.")
 
 
+class ControllerGainsReport(Record):
+    """Fitted gains of a joint's controller."""
+
+    kp: float | None = field("Position gain [N·m/rad or N/m]; null if it was given.")
+    kp_standard_error: float | None = field("Standard error of `kp` for a known scale; null if it was given.")
+    kd: float | None = field("Velocity gain [N·m·s/rad or N·s/m]; null if it was given.")
+    kd_standard_error: float | None = field("Standard error of `kd` for a known scale; null if it was given.")
+    scale: Literal["logged_torque", "given_gain", "known_values", "prior"] = field(
+        "What fixed the common scale of gains, friction and masses; `prior`: the masses of the prior."
+    )
+
+
 class UncertaintyReport(Record):
     """Method of the standard errors, and the standard error of the predicted torque."""
 
@@ -467,6 +479,10 @@ class FitReport(ReproducibleResult):
     controller: ControllerDelay | None = field(
         "Delay from command to torque; null if the log contains the torque of every joint."
     )
+    controller_gains: Annotated[ReadOnly[ControllerGainsReport], Keys("joint")] = field(
+        "Fitted gains, of joints with `kp: fit` or `kd: fit` in the configuration."
+    )
+    controller_gains_text: str | None = field("Summary of the fitted gains; null if all were given.")
     uncertainty: UncertaintyReport = field("How standard errors were computed.")
     base_parameters: BaseParametersResult | None = field("Base parameters; null with `--quick`.")
     bias: BiasReport | None = field("Comparison of least squares and instrumental variables; null if it was skipped.")

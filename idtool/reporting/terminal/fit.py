@@ -29,6 +29,8 @@ def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
     show_simulation(terminal, report.simulation)
     terminal.sections([BodiesSection(), WholeRobotSection(), FrictionSection()], report)
     terminal.sections([WrenchSensorsSection(), EffectsSection()], report)
+    if report.controller_gains_text:
+        terminal.say(f"controller gains: {report.controller_gains_text}")
     if report.controller and report.controller.text:
         terminal.say(f"controller delay: {report.controller.text}")
     if report.base_parameters:

@@ -75,7 +75,7 @@ class ConfigRecord(BaseModel):
 
 R = TypeVar("R", bound=ConfigRecord)
 
-_TAGS = ("by joint", "alike", "[key]", "[auto]", "[number]")  # of the forms that a value can have, not of keys
+_TAGS = ("by joint", "alike", "[key]", "[auto]", "[fit]", "[number]")  # of the forms that a value can have, not of keys
 
 
 def validate_record(record: type[R], data: Any, where: str) -> R:

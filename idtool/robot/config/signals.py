@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
 from idtool.common.names import suggestion
@@ -23,9 +24,26 @@ Factor = Annotated[Finite, AfterValidator(_nonzero)]
 Factors = Annotated[
     Annotated[dict[str, Factor], Tag("by joint")] | Annotated[Factor, Tag("alike")], Discriminator(joint_mapping_tag)
 ]
+
+
+def _gain(data: Any) -> Any:
+    if isinstance(data, str) and data != "fit":
+        raise ValueError(f"{data} is not a gain; give a number, or fit")
+    return data
+
+
+def _gain_tag(data: Any) -> str:
+    """Tag of the form in which a gain is given, for messages that name its key alone."""
+    return "[fit]" if data == "fit" else "[number]"
+
+
+Gain = Annotated[
+    Annotated[Literal["fit"], Tag("[fit]")] | Annotated[NonNegative, Tag("[number]")],
+    Discriminator(_gain_tag),
+    BeforeValidator(_gain),
+]
 Gains = Annotated[
-    Annotated[dict[str, NonNegative], Tag("by joint")] | Annotated[NonNegative, Tag("alike")],
-    Discriminator(joint_mapping_tag),
+    Annotated[dict[str, Gain], Tag("by joint")] | Annotated[Gain, Tag("alike")], Discriminator(joint_mapping_tag)
 ]
 
 
@@ -117,7 +135,8 @@ Delay = Annotated[Literal["auto"] | float | UncertainValue, BeforeValidator(_del
 class Controller(ConfigRecord):
     """A joint PD controller: kp [N·m/rad], kd [N·m·s/rad] at the joint, delay from command to torque [s].
 
-    The gains are by joint, or one for all joints. A delay of ``auto`` is fitted.
+    The gains are by joint, or one for all joints. Gains of ``fit`` are fitted, relative to the masses, and a delay of
+    ``auto`` as well.
     """
 
     kp: Gains
@@ -125,12 +144,14 @@ class Controller(ConfigRecord):
     delay: Delay = "auto"
 
     def kp_of(self, joint: str) -> float | None:
-        """Position gain of a joint [N·m/rad or N/m]; None: it has no controller."""
-        return self.kp.get(joint) if isinstance(self.kp, Mapping) else self.kp
+        """Position gain of a joint [N·m/rad or N/m]; NaN: to be fitted. None: the joint has no controller."""
+        kp = self.kp.get(joint) if isinstance(self.kp, Mapping) else self.kp
+        return np.nan if kp == "fit" else kp
 
     def kd_of(self, joint: str) -> float:
-        """Velocity gain of a joint [N·m·s/rad or N·s/m]."""
-        return self.kd.get(joint, 0.0) if isinstance(self.kd, Mapping) else self.kd
+        """Velocity gain of a joint [N·m·s/rad or N·s/m]; NaN: to be fitted."""
+        kd = self.kd.get(joint, 0.0) if isinstance(self.kd, Mapping) else self.kd
+        return np.nan if kd == "fit" else kd
 
     @property
     def known_delay(self) -> UncertainValue | None:

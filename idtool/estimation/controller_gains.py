@@ -1,0 +1,693 @@
+"""The gains of joint controllers whose command and motion were logged and whose torque was not.
+
+With kp and kd unknown, the torque equation is homogeneous in coefficients and gains together:
+
+    Y theta = kp (qcmd(t − d) − q) + kd (vcmd(t − d) − v).
+
+So the logs tell masses, friction and gains up to one common factor for each set of coupled joints, and the fit of all
+of them to zero is perfect. The factor comes from outside: from a joint of the set whose torque was logged or whose kp
+is given, or from known values that the motion determines, such as mass and centre of mass of one link. Known masses
+alone do not: the torque tells first moments, and a mass only together with the first moment of the link before it.
+Else the factor is that of the prior's bodies, which are the URDF's at the known masses: projected on their torque along
+the logs, b0' G b0, that of the fitted bodies has the same size, b0' G b = b0' G b0, with G = Y_b' Y_b in units of the
+joints' noise. This is a linear equation. If all masses of the prior are x % wrong, so are the gains.
+
+A joint's residual is mostly noise of its position times kp. So E = qcmd − q is the noisy variable that is predicted, and
+not a regressor: with its measured values as a column, kp would shrink to zero wherever the other joints hardly tell its
+scale. That is the maximum-likelihood estimate of theta, gains and delay under the residual of E. Gauss-Newton steps on
+the R-factors find it, with the delay on the polynomial of `command_delay`; the fit that follows determines the delay
+again. Where joints hardly tell their scales from each other, the prior tells the size of each one's torque.
+
+Standard errors are those of blocks of time for a given factor; they take account of coefficients and delay.
+
+Without a moving vcmd, the column of kd is that of viscous friction: kd is then fitted only where the model has none.
+
+Letters: p coefficients theta = K z, p' of them free (z); Y their columns, b those of bodies; G gains; K delays; y the
+coefficients in a basis N of all z that satisfy the exact constraints, z = z0 + N y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from idtool.common.arrays import Array, Mask
+from idtool.common.exceptions import ConfigError
+from idtool.common.linear_algebra import null_space
+from idtool.common.names import join_names
+from idtool.common.notice import Notice
+from idtool.data.batches import BatchSpan
+from idtool.data.controller import MAX_DELAY, JointController
+from idtool.data.logs.stored_arrays import column_ranges
+from idtool.data.signals import Batch
+from idtool.dynamics.effects import friction_types
+from idtool.dynamics.regressor import LinearModel
+from idtool.estimation.command_delay import DelayPolynomial, minimizing_delay, projected_out, scaled_least_squares
+from idtool.estimation.dataset.blocks import Blocks, merge_reductions
+from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, Run
+from idtool.estimation.dataset.reduction import Factor, Reduction
+from idtool.estimation.dataset.weights import freedom_left
+from idtool.estimation.problem.prior_bodies import prior_bodies
+from idtool.estimation.uncertainty.base_parameters import structural_base_parameters
+from idtool.estimation.uncertainty.cluster_robust import FEWEST_CLUSTERS
+from idtool.robot.config import Controller, UncertainValue
+from idtool.robot.inertia import PI_SIZE
+
+GainName = Literal["kp", "kd"]
+ScaleSource = Literal["logged_torque", "given_gain", "known_values", "prior"]
+
+SCALES: Mapping[ScaleSource, str] = {
+    "logged_torque": "the logged torque of other joints",
+    "given_gain": "the gains that are given",
+    "known_values": "the known values of the configuration",
+    "prior": "the masses of the prior",
+}
+
+_UNITS: Mapping[GainName, tuple[float, float]] = {"kp": (1.0, 0.0), "kd": (0.0, 1.0)}
+_MOST_STEPS = 50
+_CONVERGED = 1e-4  # relative change of all gains in a step
+_LONGEST_STEP = 2.0  # ratio of a kp to that before
+_PRIOR_ERROR = 0.3  # relative standard error of the torque that the prior's bodies exert on a joint
+_PRIOR_WEIGHT = 3.0  # of it in the fit: what a real robot's model leaves is no noise, and logs tell less than they seem
+_LEAST_NOISE = 1e-4  # of a joint's torque
+_TINY = 1e-12
+_CLUSTERS = 2 * FEWEST_CLUSTERS
+_INFORMATIVE = 1e-6  # of a constraint: less of it that the motion determines is rounding
+_DETERMINED = 1e-3  # of a gain's column: less that no other column explains is rounding
+_UNCERTAIN = 0.1  # relative standard error from which a gain is reported
+
+
+@dataclass(frozen=True)
+class ControllerGains:
+    """Fitted gains.
+
+    Attributes
+    ----------
+    kp, kd
+        Fitted gains with their standard errors for a given scale, by joint [N·m/rad, N·m·s/rad].
+    scales
+        What fixed the scale, by joint.
+    includes_friction
+        Joints whose kd includes viscous friction.
+    is_total_mass_known
+        True if the prior has a total mass that was measured.
+    """
+
+    kp: Mapping[str, UncertainValue]
+    kd: Mapping[str, UncertainValue]
+    scales: Mapping[str, ScaleSource]
+    includes_friction: tuple[str, ...]
+    is_total_mass_known: bool
+
+    @property
+    def text(self) -> str:
+        """The gains in words, and what fixed their scale."""
+        parts = []
+        for name, gains in (("kp", self.kp), ("kd", self.kd)):
+            if gains:
+                values = ", ".join(f"{joint} {_with_error(value)}" for joint, value in gains.items())
+                parts.append(f"{name}: {values}")
+        sources = join_names(list(dict.fromkeys(SCALES[source] for source in self.scales.values())))
+        return f"{'; '.join(parts)} (fitted, for the scale of {sources})"
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """Notices about the source of the scale, and gains that are undetermined or not those of the controller."""
+        notices = []
+        if by_prior := [joint for joint, source in self.scales.items() if source == "prior"]:
+            message = (
+                "the logs tell gains only relative to masses, and those of the prior are used: if all masses are 10 % "
+                f"wrong, so are the gains: {join_names(by_prior)}"
+            )
+            advice = "give one kp, or log the torque of one joint"
+            if self.is_total_mass_known:
+                notices.append(Notice("controller_gains_scale", "note", "controller", message, advice))
+            else:
+                advice = f"weigh the robot and set known.total_mass, {advice}"
+                notices.append(Notice("controller_gains_scale", "warning", "controller", message, advice))
+        uncertain = []
+        for name, gains in (("kp", self.kp), ("kd", self.kd)):
+            uncertain += [f"{name} of {joint}" for joint, gain in gains.items() if _is_uncertain(gain)]
+        if uncertain:
+            message = f"the logs hardly determine these gains: {join_names(uncertain)}"
+            advice = "give them, or controller.delay if it is auto, or log faster motions with vcmd"
+            notices.append(Notice("controller_gains_uncertain", "warning", "controller", message, advice))
+        if self.includes_friction:
+            message = f"without a moving vcmd, kd includes viscous friction: {join_names(self.includes_friction)}"
+            notices.append(Notice("controller_gain_with_friction", "note", "controller.kd", message))
+        return tuple(notices)
+
+
+def _with_error(gain: UncertainValue) -> str:
+    """A gain and its standard error, both to the error's second digit."""
+    error = gain.standard_error or 0.0
+    digits = max(1 - int(np.floor(np.log10(error))), 0) if error else 3
+    return f"{gain.value:.{digits}f} ± {error:.{digits}f}"
+
+
+def _is_uncertain(gain: UncertainValue) -> bool:
+    return (gain.standard_error or 0.0) > _UNCERTAIN * gain.value
+
+
+def with_gains(experiment: Experiment, progress: Progress) -> tuple[Experiment, ControllerGains | None]:
+    """Fit the gains where the configuration asks for it.
+
+    Returns
+    -------
+    The experiment with numbers for all gains; and the fitted ones, None where all are given.
+
+    Raises
+    ------
+    ConfigError
+        If the logs cannot tell the gains.
+    LogError
+        If a joint has no sample that counts.
+    """
+    controller = experiment.config.controller
+    gains = tuple(_unknown_gains(experiment))
+    if controller is None or not gains:
+        return experiment, None
+    includes_friction = _check(experiment, gains)
+    fit = _GainFit(experiment, gains, progress)
+    fitted: dict[GainName, dict[str, UncertainValue]] = {"kp": {}, "kd": {}}
+    for gain, value, error in zip(gains, fit.values.tolist(), fit.standard_errors.tolist(), strict=True):
+        fitted[gain.name][gain.joint] = UncertainValue(value=value, standard_error=error)
+    known = _with_numbers(controller, experiment.equation.joints, fitted)
+    config = experiment.config.model_copy(update={"controller": known})
+    runs = []
+    for run in experiment.runs:
+        signals = run.signals
+        joint_controller = JointController.from_log(signals.log, signals.joints, known)
+        runs.append(replace(run, signals=signals.with_controller(joint_controller)))
+    scales = {gain.joint: fit.scale.sources[gain.index] for gain in gains}
+    is_weighed = config.known.total_mass is not None
+    result = ControllerGains(fitted["kp"], fitted["kd"], scales, includes_friction, is_weighed)
+    return replace(experiment, config=config, runs=tuple(runs)), result
+
+
+def _with_numbers(
+    controller: Controller, joints: Sequence[str], fitted: Mapping[GainName, Mapping[str, UncertainValue]]
+) -> Controller:
+    """The controller with fitted gains; joints whose gains are still unknown have none: their torque was logged."""
+    kp, kd = {}, {}
+    for joint in joints:
+        own_kp, own_kd = controller.kp_of(joint), controller.kd_of(joint)
+        if joint in fitted["kp"]:
+            own_kp = fitted["kp"][joint].value
+        if joint in fitted["kd"]:
+            own_kd = fitted["kd"][joint].value
+        if own_kp is not None and np.isfinite(own_kp + own_kd):
+            kp[joint], kd[joint] = own_kp, own_kd
+    return controller.model_copy(update={"kp": kp, "kd": kd})
+
+
+@dataclass(frozen=True)
+class _Gain:
+    """One unknown gain of a joint, whose row of the torque equation has the index."""
+
+    name: GainName
+    joint: str
+    index: int
+
+
+def _unknown_gains(experiment: Experiment) -> Iterator[_Gain]:
+    """The gains that are to be fitted, joint by joint."""
+    controllers = [run.signals.controller for run in experiment.runs if run.train]
+    for index in range(experiment.model.joint_count):
+        commanded = [controller for controller in controllers if controller.joints[index]]
+        if not commanded:
+            continue
+        joint = experiment.equation.joints[index]
+        if np.isnan(commanded[0].kp[index, 0]):
+            yield _Gain("kp", joint, index)
+        if np.isnan(commanded[0].kd[index, 0]):
+            yield _Gain("kd", joint, index)
+
+
+def _check(experiment: Experiment, gains: Sequence[_Gain]) -> tuple[str, ...]:
+    """Joints whose kd includes viscous friction; ConfigError if the model or the logs do not allow to fit gains."""
+    key = f"controller.{gains[0].name}"
+    if experiment.equation.contacts is not None:
+        raise ConfigError(key, "fit is not for a floating base, contacts or wrench sensors; give a number")
+    if experiment.equation.has_sensors or any(effect.uses_measured_torque for effect in experiment.equation.effects):
+        what = "fit is not for models with effects on the measured torque, or with elastic joints"
+        raise ConfigError(key, f"{what}; give a number, or remove these effects")
+    viscous = friction_types()["viscous"].id
+    with_viscous_friction = {c.owner for c in experiment.equation.coefficients if c.effect == viscous}
+    still = [gain.joint for gain in gains if gain.name == "kd" and not _velocity_command_moves(experiment, gain.joint)]
+    controller = experiment.config.controller
+    has_delay = controller is not None and controller.known_delay is not None
+    confounded = [joint for joint in still if not has_delay or joint in with_viscous_friction]
+    if confounded:
+        what = f"without a moving vcmd, fit cannot tell kd of {join_names(confounded)} from viscous friction and delay"
+        both = "or set friction.viscous: false and give controller.delay; kd then includes viscous friction"
+        raise ConfigError("controller.kd", f"{what}; give kd, log vcmd, {both}")
+    return tuple(still)
+
+
+def _velocity_command_moves(experiment: Experiment, joint: str) -> bool:
+    """True if a log that is fitted has a velocity command of a joint that changes."""
+    for run in experiment.runs:
+        log = run.signals.log
+        if run.train and log.has("vcmd", joint):
+            column = log.joints.index(joint)
+            least, greatest = column_ranges(log.signals["vcmd"][:, column : column + 1])
+            if greatest[0] > least[0]:
+                return True
+    return False
+
+
+def _rows(equation: LinearModel, run: Run, gains: Sequence[_Gain], lags: DelayPolynomial) -> Rows:
+    """Columns of the torque equation, those of the joint's gains and its known torque, both at each of the delays."""
+    given = run.signals.controller
+    known = given.with_unknown_gains(0.0, 0.0)
+    units = {name: _unit_controller(given, *unit) for name, unit in _UNITS.items()}
+    signals = run.signals.with_controller(known)
+    parts = signals.delayed_ranges(max(lags.delays), run.train)
+
+    def rows_of(batch: Batch, span: BatchSpan) -> tuple[list[Array], list[Mask]]:
+        columns, kept = equation.filtered_rows(batch)
+        samples = slice(span.start - span.before, span.stop + span.after)
+        torques = batch.filter(equation.delayed_torques(batch.motion))
+        of_units: dict[str, Array] = {}
+        for name in {gain.name for gain in gains}:
+            of_units[name] = batch.filter(signals.controller_torques(units[name], samples, lags.delays))
+        blocks = []
+        for j, own in enumerate(columns):
+            of_gains = [of_units[gain.name][:, j] for gain in gains if gain.index == j]
+            blocks.append(np.concatenate([own[:-1], *of_gains, torques[:, j]]))
+        return blocks, kept
+
+    return signals.batches(parts, delays=lags.delays).map_with_span(rows_of)
+
+
+def _unit_controller(controller: JointController, kp: float, kd: float) -> JointController:
+    """The controller with gains alike for all joints that it drives."""
+    driven = np.where(controller.joints, 1.0, 0.0)[:, None]
+    return replace(controller, kp=np.asarray(kp * driven), kd=np.asarray(kd * driven))
+
+
+@dataclass(frozen=True)
+class _JointRows:
+    """One joint's rows, as of a triangular factor.
+
+    Attributes
+    ----------
+    Y
+        Columns of all free coefficients, shape (rows, p').
+    units
+        Torque of a gain of 1 for each of the joint's unknown gains at each delay, shape (rows, K).
+    known
+        Torque of known gains, or as logged, at each delay, shape (rows, K).
+    count
+        Number of samples.
+    """
+
+    Y: Array
+    units: Mapping[GainName, Array]
+    known: Array
+    count: float
+
+    def residual_alone(self, weights: Array) -> float:
+        """Norm of what coefficients of this joint alone leave of qcmd − q or, with known kp, of the torque."""
+        velocity = [self.units["kd"] @ weights] if "kd" in self.units else []
+        columns = [self.Y, *velocity]
+        target = self.known @ weights
+        if "kp" in self.units:
+            columns.append(target)
+            target = self.units["kp"] @ weights
+        return float(np.linalg.norm(projected_out(target[:, None], np.column_stack(columns))))
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """Coefficients, gains and delay, about which the torque equation is linearized.
+
+    Attributes
+    ----------
+    z
+        Free coefficients, shape (p',).
+    gains
+        By joint and name.
+    delay
+        [s].
+    """
+
+    z: Array
+    gains: Sequence[Mapping[GainName, float]]
+    delay: float
+
+    @property
+    def values(self) -> Array:
+        """The gains one after the other, shape (G,)."""
+        return np.array([value for own in self.gains for value in own.values()])
+
+
+class _GainFit:
+    """Maximum-likelihood estimate of coefficients, gains and delay.
+
+    Attributes
+    ----------
+    values, standard_errors
+        The gains, and their standard errors for a given scale, shape (G,).
+    scale
+        What fixed the scale.
+    """
+
+    def __init__(self, experiment: Experiment, gains: Sequence[_Gain], progress: Progress) -> None:
+        self._equation, self._equalities = experiment.equation, experiment.equalities
+        self._names = [[gain.name for gain in gains if gain.index == j] for j in range(len(self._equation.joints))]
+        self._count = len(gains)
+        controller = experiment.config.controller
+        given = controller.known_delay if controller else None
+        self._lags = DelayPolynomial(experiment.band_hz, given.value if given else None)
+        data = experiment.blocks(
+            lambda run: _rows(experiment.equation, run, gains, self._lags), progress, "fitting the controller gains to"
+        )
+        total = merge_reductions([log.total for log in data])
+        self._samples_per_independent = sum(f.rows for f in total) / sum(f.independent for f in total)
+        rows = self._joint_rows(total)
+        self.scale = _Scale(experiment, gains, [joint.Y for joint in rows])
+        estimate = self._initial(rows)
+        for _ in range(_MOST_STEPS):
+            previous = estimate
+            estimate = self._step(rows, previous)
+            if np.allclose(estimate.values, previous.values, rtol=_CONVERGED, atol=0):
+                break
+        self.values = estimate.values
+        self.standard_errors = self._errors(data, total, estimate)
+
+    def _joint_rows(self, data: Reduction) -> list[_JointRows]:
+        """The rows of each joint."""
+        count = len(self._lags.delays)
+        joints = []
+        for factor, columns, names in zip(data, self._equation.active(), self._names, strict=True):
+            Y = factor.R[:, : len(columns)] @ self._equalities.K[columns]
+            units = {}
+            for i, name in enumerate(names):
+                first = len(columns) + i * count
+                units[name] = factor.R[:, first : first + count]
+            joints.append(_JointRows(Y, units, factor.R[:, -count:], factor.rows))
+        return joints
+
+    def _initial(self, rows: Sequence[_JointRows]) -> _Estimate:
+        """The delay with the least residuals of the joints alone, and gains and friction with the prior's bodies."""
+        delay = self._lags.delays[0]
+        if len(self._lags.delays) > 1:
+            delay = minimizing_delay(lambda d: self._cost_alone(rows, self._lags.weights(d)))
+        weights = self._lags.weights(delay)
+        z = self.scale.prior.copy()
+        gains = []
+        for joint, names in zip(rows, self._names, strict=True):
+            torque = joint.Y @ self.scale.prior
+            own = np.flatnonzero(self.scale.is_other & joint.Y.any(axis=0))
+            known = joint.known @ weights
+            velocity = [joint.units["kd"] @ weights] if "kd" in names else []
+            if "kp" in names:
+                error = joint.units["kp"] @ weights
+                columns = np.column_stack([torque - known, joint.Y[:, own], *(-column for column in velocity)])
+                x, _ = scaled_least_squares(columns, error)
+                kp = 1 / x[0] if x[0] > 0 else float(np.linalg.norm(torque) / np.linalg.norm(error))
+                x = kp * x[1:]
+            else:
+                kp = 0.0
+                columns = np.column_stack([joint.Y[:, own], *(-column for column in velocity)])
+                x, _ = scaled_least_squares(columns, known - torque)
+            z[own] = np.maximum(x[: len(own)], self.scale.lower[own])
+            values = {"kp": kp, "kd": max(float(x[-1]), 0.0) if velocity else 0.0}
+            gains.append({name: values[name] for name in names})
+        return _Estimate(z, gains, delay)
+
+    def _cost_alone(self, rows: Sequence[_JointRows], weights: Array) -> float:
+        """Negative log likelihood of the joints by themselves."""
+        return sum(joint.count * float(np.log(joint.residual_alone(weights) + _TINY)) for joint in rows)
+
+    def _linearized(self, joint: _JointRows, j: int, estimate: _Estimate) -> tuple[Array, Array, Array]:
+        """A joint's columns of gains and delay (rows, G + 1), right side and residual (rows,) at an estimate.
+
+        The torque equation is Y z = columns · (gains, delay) + right side; see the module.
+        """
+        weights, slopes = self._lags.weights(estimate.delay), self._lags.slopes(estimate.delay)
+        own = estimate.gains[j]
+        columns = np.zeros((len(joint.Y), self._count + 1))
+        known, of_delay = joint.known @ weights, joint.known @ slopes
+        residual = joint.Y @ estimate.z - known
+        for name, value in own.items():
+            residual = residual - value * (joint.units[name] @ weights)
+            of_delay = of_delay + value * (joint.units[name] @ slopes)
+        right = known - of_delay * estimate.delay
+        first = sum(map(len, self._names[:j]))
+        for i, (name, value) in enumerate(own.items()):
+            column = joint.units[name] @ weights
+            if name == "kp":
+                predicted = column + residual / value
+                right = right - residual  # kp (qcmd − q less what is predicted)
+                column = predicted
+            columns[:, first + i] = column
+        columns[:, -1] = of_delay
+        return columns, right, residual
+
+    def _noise(self, rows: Sequence[_JointRows], estimate: _Estimate) -> Array:
+        """Rms residual of each joint, shape (nv,) [N·m or N]."""
+        noise = []
+        for j, joint in enumerate(rows):
+            residual = float(np.linalg.norm(self._linearized(joint, j, estimate)[2]))
+            torque = float(np.linalg.norm(joint.Y @ estimate.z))
+            noise.append(max(residual, _LEAST_NOISE * torque, _TINY) / np.sqrt(max(joint.count, 1.0)))
+        return np.array(noise)
+
+    def _system(
+        self, rows: Sequence[_JointRows], estimate: _Estimate, noise: Array, with_soft: bool
+    ) -> tuple[Array, Array, Array, Array]:
+        """Rows of all joints in units of their noise: Y over z, columns, right side and residual of `_linearized`."""
+        parts = []
+        for j, (joint, sigma) in enumerate(zip(rows, noise, strict=True)):
+            parts.append((joint.Y / sigma, *(part / sigma for part in self._linearized(joint, j, estimate))))
+        if with_soft:
+            soft, values, _ = self.scale.soft()
+            soft, values = (np.sqrt(self._samples_per_independent) * part for part in (soft, values))
+            parts.append((soft, np.zeros((len(soft), self._count + 1)), values, soft @ estimate.z - values))
+        Y, columns, right, residual = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return Y, columns, right, residual
+
+    def _step(self, rows: Sequence[_JointRows], estimate: _Estimate) -> _Estimate:
+        """The next estimate by a Gauss-Newton step within bounds."""
+        from scipy.optimize import lsq_linear
+
+        noise = self._noise(rows, estimate)
+        Y, columns, right, _ = self._system(rows, estimate, noise, with_soft=True)
+        constrained = self.scale.constrained(noise)
+        right = right - Y @ constrained.z0
+        Y = Y @ constrained.N
+        bounded = np.isfinite(constrained.lower)
+        before = np.append(estimate.values, estimate.delay)
+        is_kp = np.array([name == "kp" for names in self._names for name in names] + [False])
+        lower = np.where(is_kp, before / _LONGEST_STEP, 0.0)
+        upper = np.where(is_kp, before * _LONGEST_STEP, np.inf)
+        upper[-1] = MAX_DELAY
+        if len(self._lags.delays) == 1:
+            lower[-1], upper[-1] = estimate.delay - _TINY, estimate.delay + _TINY
+        A = np.column_stack([Y[:, bounded], -columns])
+        low = np.concatenate([constrained.lower[bounded], lower])
+        high = np.concatenate([np.full(np.count_nonzero(bounded), np.inf), upper])
+        rest = projected_out(np.column_stack([A, right]), Y[:, ~bounded])
+        R = np.asarray(np.linalg.qr(rest, mode="r"))
+        size = np.linalg.norm(R[:, :-1], axis=0)
+        size[size == 0] = 1.0
+        x = lsq_linear(R[:, :-1] / size, R[:, -1], bounds=(low * size, high * size), method="bvls").x / size
+        y = np.zeros(Y.shape[1])
+        y[bounded] = x[: np.count_nonzero(bounded)]
+        y[~bounded], _ = scaled_least_squares(Y[:, ~bounded], right - A @ x)
+        values = iter(x[np.count_nonzero(bounded) :].tolist())
+        gains = [{name: next(values) for name in names} for names in self._names]
+        return _Estimate(constrained.z0 + constrained.N @ y, gains, next(values))
+
+    def _errors(self, data: Sequence[Blocks], total: Reduction, estimate: _Estimate) -> Array:
+        """Standard errors of the gains, shape (G,).
+
+        They are those of scores in clusters of time, or by the number of independent samples if these are larger.
+        """
+        noise = self._noise(self._joint_rows(total), estimate)
+        N = self.scale.constrained(noise).N
+        Y, columns, _, _ = self._system(self._joint_rows(total), estimate, noise, with_soft=True)
+        moved, rank = scaled_least_squares(Y @ N, columns)
+        rest, size = columns - Y @ N @ moved, np.linalg.norm(columns, axis=0)
+        used = np.linalg.norm(rest, axis=0) > _DETERMINED * size  # a given delay has no column
+        self._check_determined(rest, size)
+        bread = np.linalg.inv(rest[:, used].T @ rest[:, used])
+        scores = []
+        length = max(sum(map(len, data)) // _CLUSTERS, 1)
+        for log in data:
+            for cluster in log.regrouped(length).parts:
+                own_Y, own_columns, _, residual = self._system(
+                    self._joint_rows(cluster), estimate, noise, with_soft=False
+                )
+                scores.append((own_columns - own_Y @ N @ moved)[:, used].T @ residual)
+        variance = np.diag(bread) * self._samples_per_independent
+        if len(scores) >= FEWEST_CLUSTERS:
+            _, values, weights = self.scale.soft()
+            soft = rest[len(rest) - len(values) :, used] * (weights * np.sqrt(self._samples_per_independent))[:, None]
+            meat = np.atleast_2d(len(scores) * np.cov(np.transpose(scores))) / freedom_left(total, rank)
+            robust = np.diag(bread @ (meat + soft.T @ soft) @ bread)
+            variance = np.maximum(variance, robust)
+        return np.asarray(np.sqrt(variance[: self._count]))
+
+    def _check_determined(self, rest: Array, size: Array) -> None:
+        """Refuse gains whose columns the others explain; ConfigError."""
+        place = 0
+        for joint, names in zip(self._equation.joints, self._names, strict=False):
+            for name in names:
+                own = projected_out(rest[:, [place]], np.delete(rest, place, axis=1))
+                if np.linalg.norm(own) <= _DETERMINED * size[place]:
+                    what = f"the logs do not tell {name} of {joint} from the coefficients of the model"
+                    raise ConfigError(f"controller.{name}", f"{what}; give a number, or log other motions")
+                place += 1
+
+
+@dataclass(frozen=True)
+class _Constrained:
+    """Free coefficients that satisfy exact constraints, z0 + N y: shapes (p',) and (p', f); lower bounds of y (f,)."""
+
+    z0: Array
+    N: Array
+    lower: Array
+
+
+class _Scale:
+    """The prior's bodies, and what fixes the scale of each set of coupled joints.
+
+    Attributes
+    ----------
+    sources
+        By index of the joint; only joints of sets with unknown gains.
+    prior
+        Free coefficients of the prior's bodies, 0 for all others, shape (p',).
+    is_other
+        True for free coefficients that are not of bodies, shape (p',).
+    lower
+        Lower bounds of the free coefficients, shape (p',).
+    """
+
+    def __init__(self, experiment: Experiment, gains: Sequence[_Gain], rows: Sequence[Array]) -> None:
+        self._equalities, joints = experiment.equalities, experiment.equation.joints
+        every, free = experiment.equation.coefficients, experiment.equalities.free
+        body_count = len(experiment.model.bodies)
+        self.is_other = free >= PI_SIZE * body_count
+        self.lower = np.array([every[i].lower for i in free])
+        self.sources: dict[int, ScaleSource] = {}
+        self._sets_by_prior: list[list[int]] = []
+        for coupled in _coupled_joints(experiment):
+            if any(gain.index in coupled for gain in gains):
+                source = _scale_source(experiment, coupled)
+                self.sources |= dict.fromkeys(coupled, source)
+                if source == "prior":
+                    self._sets_by_prior.append(coupled)
+        self.prior = np.where(self.is_other, 0.0, _prior_theta(experiment, bool(self._sets_by_prior))[free])
+        self._rows: list[Array] = []  # of each joint: torque by the prior times that of coefficients
+        self._sizes: list[float] = []
+        for Y in rows:
+            row = np.where(self.is_other, 0.0, Y.T @ (Y @ self.prior))
+            self._rows.append(row)
+            self._sizes.append(float(row @ self.prior))
+        self._with_unknown_kp = [gain.index for gain in gains if gain.name == "kp"]
+        for j in self._with_unknown_kp:
+            if not self._sizes[j] > 0:
+                what = f"the URDF's bodies exert no torque on {joints[j]}, so that nothing tells the scale of its gains"
+                raise ConfigError("controller.kp", f"{what}; give its kp, or correct the URDF's masses")
+
+    def soft(self) -> tuple[Array, Array, Array]:
+        """Measured constraints in units of their standard errors: rows (n, p'), values (n,) and weights (n,).
+
+        With them, the torque of each joint with unknown kp has the size of the prior's, which counts more than its
+        error tells, by the weight.
+        """
+        measured = self._equalities.soft_rows()
+        rows = [*(measured[:, :-1] @ self._equalities.K)]
+        values = measured[:, -1].tolist()
+        for j in self._with_unknown_kp:
+            rows.append(_PRIOR_WEIGHT / _PRIOR_ERROR * self._rows[j] / self._sizes[j])
+            values.append(_PRIOR_WEIGHT / _PRIOR_ERROR)
+        weights = np.concatenate([np.ones(len(measured)), np.full(len(self._with_unknown_kp), _PRIOR_WEIGHT)])
+        return np.array(rows).reshape(-1, len(self.prior)), np.array(values), weights
+
+    def constrained(self, noise: Array) -> _Constrained:
+        """The coefficients that satisfy the exact constraints, with the joints weighted by their noise, shape (nv,)."""
+        rows = [constraint.row @ self._equalities.K for constraint in self._equalities.hard]
+        values = [constraint.value for constraint in self._equalities.hard]
+        for joints in self._sets_by_prior:
+            rows.append(np.sum([self._rows[j] / noise[j] ** 2 for j in joints], axis=0))
+            values.append(sum(self._sizes[j] / noise[j] ** 2 for j in joints))
+        C = np.array(rows).reshape(-1, len(self.prior))
+        size = np.linalg.norm(C, axis=1)
+        C, right = C / size[:, None], np.array(values) / size
+        N = null_space(C)
+        lower = np.full(N.shape[1], -np.inf)
+        is_free = ~C.any(axis=0)  # these come first in the basis, as they are
+        lower[: np.count_nonzero(is_free)] = self.lower[is_free]
+        return _Constrained(np.linalg.lstsq(C, right, rcond=None)[0], N, lower)
+
+
+def _coupled_joints(experiment: Experiment) -> list[list[int]]:
+    """Sets of joints whose equations have coefficients in common, by index."""
+    sets: list[tuple[set[int], set[int]]] = []
+    for j, columns in enumerate(experiment.equation.active()):
+        free = set(np.flatnonzero(experiment.equalities.K[columns].any(axis=0)).tolist())
+        joints = {j}
+        apart = []
+        for other_joints, other_free in sets:
+            if free & other_free:
+                joints |= other_joints
+                free |= other_free
+            else:
+                apart.append((other_joints, other_free))
+        sets = [*apart, (joints, free)]
+    return [sorted(joints) for joints, _ in sets]
+
+
+def _scale_source(experiment: Experiment, joints: Sequence[int]) -> ScaleSource:
+    """What fixes the scale of a set of coupled joints."""
+    controllers = [run.signals.controller for run in experiment.runs if run.train]
+    if any(not controller.joints[j] for controller in controllers for j in joints):
+        return "logged_torque"
+    if any(controller.kp[j, 0] > 0 for controller in controllers for j in joints):
+        return "given_gain"
+    if _known_values_determine_scale(experiment, joints):
+        return "known_values"
+    return "prior"
+
+
+def _known_values_determine_scale(experiment: Experiment, joints: Sequence[int]) -> bool:
+    """True if the torque of a set of joints depends on known values of their coefficients.
+
+    It does if not all known values can be had by changes of the coefficients that leave the torque unchanged.
+    """
+    active = np.unique(np.concatenate([experiment.equation.active()[j] for j in joints]))
+    K = experiment.equalities.K
+    rows, values = [], []
+    for constraint in experiment.equalities.constraints:
+        if constraint.row[active].any():
+            size = float(np.linalg.norm(constraint.row @ K))
+            rows.append(constraint.row @ K / size)
+            values.append(constraint.value / size)
+    if not any(values):
+        return False
+    base = structural_base_parameters(experiment.model, experiment.equation, experiment.equalities)
+    B = base.B @ K
+    unseen = null_space(B / np.linalg.norm(B, axis=1)[:, None])
+    changed = np.array(rows) @ unseen
+    needed = np.array(values)
+    achieved = changed @ np.linalg.lstsq(changed, needed, rcond=_INFORMATIVE)[0]
+    return bool(np.linalg.norm(needed - achieved) > _INFORMATIVE * np.linalg.norm(needed))
+
+
+def _prior_theta(experiment: Experiment, fixes_scale: bool) -> Array:
+    """Coefficients of the prior, shape (p,); ConfigError if it fixes the scale with placeholders and no total mass."""
+    no_data = tuple(Factor(np.zeros((0, len(columns) + 1)), 0, 0) for columns in experiment.equation.active())
+    prior = prior_bodies(experiment.config, experiment.model, experiment.equation, no_data)
+    if fixes_scale and prior.placeholders and experiment.config.known.total_mass is None:
+        what = f"the logs tell gains only relative to masses, and the URDF's of {join_names(prior.placeholders)}"
+        raise ConfigError("controller.kp", f"{what} are placeholders; set known.total_mass, or give one kp")
+    return prior.equation.prior
