@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from idtool.reporting.results.adaptation import AdaptationReport
 from idtool.reporting.results.base import Keys, ReadOnly, Record, Result, Vector
+from idtool.reporting.results.comparison import ComparisonReport
 from idtool.reporting.results.diagnosis import DiagnosisReport
 from idtool.reporting.results.ellipsoids import CheckReport, EllipsoidsReport
 from idtool.reporting.results.excitation import ExcitationReport
@@ -37,6 +38,7 @@ RESULTS: dict[str, tuple[type[Result], str]] = {
     "validation.json": (ValidationReport, "Written by `idtool validate`."),
     "diagnosis.json": (DiagnosisReport, "Written by `idtool diagnose`."),
     "study.json": (StudyReport, "Written by `idtool study`."),
+    "comparison.json": (ComparisonReport, "Written by `idtool compare`."),
     "adapt.json": (AdaptationReport, "Written by `idtool adapt`."),
     "inspect": (InspectionReport, "Printed by `idtool inspect --json`."),
     "init": (InitReport, "Printed by `idtool init --json`."),

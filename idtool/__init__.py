@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     __version__: str
     from idtool.api.adapt import AdaptationResult, adapt
+    from idtool.api.compare import ComparisonResult, compare
     from idtool.api.diagnose import DiagnosisResult, diagnose
     from idtool.api.ellipsoids import CheckResult, EllipsoidsResult, check, ellipsoids
     from idtool.api.excite import ExcitationResult, excite
@@ -48,6 +49,7 @@ else:  # a type checker is not to take every name for a public one
 __all__ = [
     "AdaptationResult",
     "CheckResult",
+    "ComparisonResult",
     "ConfigError",
     "DiagnosisResult",
     "EllipsoidsResult",
@@ -69,6 +71,7 @@ __all__ = [
     "__version__",
     "adapt",
     "check",
+    "compare",
     "diagnose",
     "ellipsoids",
     "excite",
@@ -85,6 +88,7 @@ __all__ = [
 
 _NAMES = {
     "idtool.api.adapt": ("AdaptationResult", "adapt"),
+    "idtool.api.compare": ("ComparisonResult", "compare"),
     "idtool.api.diagnose": ("DiagnosisResult", "diagnose"),
     "idtool.api.ellipsoids": ("CheckResult", "EllipsoidsResult", "check", "ellipsoids"),
     "idtool.api.excite": ("ExcitationResult", "excite"),

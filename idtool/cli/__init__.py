@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from idtool.cli import (  # noqa: F401  # each adds its command
     adapt,
+    compare,
     diagnose,
     ellipsoids,
     excite,

@@ -28,16 +28,15 @@ from idtool.reporting.results.fit import (
     RepeatedParameter,
     UncertaintyReport,
 )
-from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE
+from idtool.robot.inertia import PARAMETER_WORDS, PI_SIZE
 
-_PARAMETER_WORDS = {"m": "mass", **{name: name.replace("mc_", "m·c_") for name in PARAMETER_NAMES[1:4]}}
 _MAX_NAME_TERMS = 4  # terms of a combination that its name holds
 MAX_PULL = 3.0  # standard errors from what the data say, at which prior or constraints are said to hold a number
 
 
 def coefficient_name(coefficient: Coefficient) -> str:
     """Name of a coefficient: its owner and the quantity."""
-    return f"{coefficient.owner} {_PARAMETER_WORDS.get(coefficient.name, coefficient.name)}"
+    return f"{coefficient.owner} {PARAMETER_WORDS.get(coefficient.name, coefficient.name)}"
 
 
 def combination_name(base: BaseParameters, i: int, coefficients: Sequence[Coefficient]) -> str:

@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike
 from idtool.common.arrays import Array
 
 PARAMETER_NAMES = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
+#: Names in reports, where they differ.
+PARAMETER_WORDS = {"m": "mass", "mc_x": "m·c_x", "mc_y": "m·c_y", "mc_z": "m·c_z"}
 PARAMETER_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 PI_SIZE = len(PARAMETER_NAMES)
 #: Powers of length in the parameters' units.

@@ -25,7 +25,8 @@ ALL = [README, *pages()]
 NAMES = [str(page.relative_to(CHECKOUT if page == README else PAGES)) for page in ALL]
 LANGUAGES = {"", "sh", "python", "yaml", "json", "text"}
 EXAMPLES = {name: command.epilog for name, command in typer.main.get_command(app).commands.items()}  # type: ignore[attr-defined]
-QUICK = ["inspect", "simulate", "export", "adapt", "ellipsoids", "init"]  # test_cli runs those of fit and validate, too
+# test_cli runs those of fit and validate, too
+QUICK = ["inspect", "simulate", "export", "compare", "adapt", "ellipsoids", "init"]
 ASSETS = {"script": "src", "img": "src", "link": "href", "iframe": "src", "source": "src"}
 
 
@@ -59,6 +60,7 @@ def run_examples(folder: Path, names: list[str]) -> None:
     reader = Reader(folder, slow=True)
     done = idtool("fit", "leg.urdf", "run1.mcap", "--quick", folder=reader.folder)
     assert done.code == 0, done.err
+    shutil.copytree(reader.folder / "leg_idtool", reader.folder / "other_leg_idtool")
     for name in names:
         line = EXAMPLES[name].removeprefix("Example: ")
         if name == "init":

@@ -15,7 +15,7 @@ from idtool.cli import app
 
 DOCS = CHECKOUT / "docs"
 FILES = {"fit": "report.json", "validate": "validation.json", "diagnose": "diagnosis.json"}
-FILES |= {name: f"{name}.json" for name in ("study", "adapt")}
+FILES |= {"compare": "comparison.json"} | {name: f"{name}.json" for name in ("study", "adapt")}
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,6 @@
 """Agreement between several logs of one robot, each by itself, base parameter by base parameter.
 
-Their estimates are independent, with errors of different size that are themselves estimated: Welch's test for unequal
-variances (1951). Of many such tests some fail by chance: of the parameters named, 5 % are expected to be named for
-nothing (Benjamini & Hochberg 1995).
+Their estimates are independent, with errors of different size that are themselves estimated: Welch's test.
 """
 
 from __future__ import annotations
@@ -11,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtrc
 
 from idtool.common.arrays import Array, Mask
 from idtool.dynamics.regressor import LinearModel
@@ -21,10 +18,8 @@ from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.dataset.sensor_offsets import with_offsets_of
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.estimation.uncertainty.cluster_robust import cluster_robust_estimate
-from idtool.estimation.uncertainty.false_discovery import discoveries
+from idtool.estimation.uncertainty.welch import birge_ratio, significant_differences, welch_p_values
 
-_FALSE_DISCOVERIES = 0.05  # of the parameters that are said not to agree
-_INFINITE = 1e6  # degrees of freedom, as good as infinitely many
 _DUPLICATE = 1e-4  # standard errors, by which logs of the same data may differ
 _OUTLIER = 0.5  # share of the disagreement that is left without a log: below, it is an outlier
 
@@ -105,57 +100,16 @@ def repeatability(
     value = np.column_stack([base.B @ estimate.theta for estimate in estimates])
     value = np.where(np.isfinite(error), value, np.nan)
     freedom = np.column_stack([estimate.uncertainty.degrees_of_freedom(base.B) for estimate in estimates])
-    differs = _differs(_welch(value, error, freedom))
+    differs = significant_differences(welch_p_values(value, error, freedom))
     return Repeatability(
         logs=tuple(log.name for log in data),
         value=value,
         standard_error=error,
-        ratio=_ratio(value, error),
+        ratio=birge_ratio(value, error),
         agrees=~differs,
         outlier=_outlier(value[differs], error[differs]),
         cross_error=_cross_error(equation, data, noise, [theta_from(log.total) for log in data]),
     )
-
-
-def _welch(value: Array, error: Array, freedom: Array) -> Array:
-    """p-values of Welch's test, shape (r, L) to (r,); NaN where fewer than two logs have an error."""
-    weight = _weights(error)
-    count = np.count_nonzero(weight, axis=1)
-    total = weight.sum(axis=1, keepdims=True)
-    is_tested = count > 1
-    terms = np.square(1 - weight / np.where(total > 0, total, 1.0)) / freedom
-    correction = np.where(weight > 0, terms, 0.0).sum(axis=1)
-    squares = np.maximum(np.square(count) - 1.0, 1.0)
-    F = np.square(_ratio(value, error)) / (1 + 2 * (count - 2) / squares * correction)
-    numerator = np.maximum(count - 1, 1)  # degrees of freedom
-    denominator = np.where(correction > 0, squares / np.where(correction > 0, 3 * correction, 1.0), np.inf)
-    p_values = fdtrc(numerator, np.minimum(denominator, _INFINITE), np.where(is_tested, F, 0.0))
-    return np.where(is_tested, p_values, np.nan)
-
-
-def _differs(p_values: Array) -> Mask:
-    """True for tests that fail, shape (r,)."""
-    tested = np.flatnonzero(~np.isnan(p_values))
-    differs = np.zeros(len(p_values), dtype=bool)
-    if len(tested):
-        differs[tested] = discoveries(p_values[tested], _FALSE_DISCOVERIES)
-    return differs
-
-
-def _weights(error: Array) -> Array:
-    """One over the squares of finite errors, 0 for others."""
-    is_known = np.isfinite(error) & (error > 0)
-    return np.where(is_known, 1 / np.square(np.where(is_known, error, 1.0)), 0.0)
-
-
-def _ratio(value: Array, error: Array) -> Array:
-    """Birge's ratio: the scatter of several estimates in units of what their errors predict, shape (r,)."""
-    weight = _weights(error)
-    count = np.count_nonzero(weight, axis=1)
-    determined = np.where(weight > 0, value, 0.0)
-    mean = (weight * determined).sum(axis=1) / np.where(count > 0, weight.sum(axis=1), 1.0)
-    chi_square = (weight * np.square(determined - mean[:, None])).sum(axis=1)
-    return np.where(count > 1, np.sqrt(chi_square / np.maximum(count - 1, 1)), np.nan)
 
 
 def _outlier(value: Array, error: Array) -> int | None:
@@ -168,7 +122,7 @@ def _outlier(value: Array, error: Array) -> int | None:
         return None
 
     def disagreement(kept: list[int]) -> float:
-        return float(np.nanmean(np.square(_ratio(value[:, kept], error[:, kept]))))
+        return float(np.nanmean(np.square(birge_ratio(value[:, kept], error[:, kept]))))
 
     without = [disagreement([i for i in range(logs) if i != k]) for k in range(logs)]
     least = int(np.nanargmin(without))

@@ -22,7 +22,7 @@ from idtool.reporting.pages.uncertainty import (
     uncertainty_view,
     with_uncertainty,
 )
-from idtool.reporting.plots.fleet import fleet_figure
+from idtool.reporting.plots.friction import fleet_figure
 from idtool.reporting.plots.regularization import regularization_figure
 from idtool.reporting.plots.residuals import residual_figures
 from idtool.reporting.plots.torques import torque_figures
@@ -124,7 +124,7 @@ def fit_page(
         groups=rows_by_unit(units),
         torques=torque_figures(fit.evaluation, "identified", units),
         residuals=residual_figures(*residual_maps, units, _MODEL_NAMES, _MODELS_TEXT) if residual_maps else None,
-        fleet_figure=fleet_figure(report),
+        friction_plot=fleet_figure(report),
         weights=regularization_figure(automatic) if automatic else None,
         **simulation_view(fit.simulation, report.simulation, "identified"),
         **uncertainty_view(report),

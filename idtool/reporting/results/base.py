@@ -53,11 +53,16 @@ class ReadOnly(Mapping[str, T_co]):
         dictionary = core_schema.dict_schema(core_schema.str_schema(), values)
         return core_schema.no_info_after_validator_function(
             cls,
-            core_schema.no_info_before_validator_function(dict, dictionary),
+            core_schema.no_info_before_validator_function(_plain_dictionary, dictionary),
             serialization=core_schema.wrap_serializer_function_ser_schema(
                 lambda value, serialize: serialize(dict(value)), schema=dictionary
             ),
         )
+
+
+def _plain_dictionary(value: Any) -> Any:
+    """A mapping as a dictionary; anything else as it is, which the schema then refuses."""
+    return dict(value) if isinstance(value, Mapping) else value
 
 
 def _vector(values: Sequence[float | None]) -> Array:
@@ -160,9 +165,9 @@ class Source(Record):
     """A file that was read."""
 
     kind: str = field(
-        "`URDF`, `configuration`, `mesh` (of a `hull` in `bounding_shapes`), `log` or `bag metadata`; of `--prior` "
-        "with `prior's` in front, as in `prior's URDF`; of `--against` with `simulator's` in front: "
-        "`simulator's log`."
+        "`URDF`, `configuration`, `mesh` (of a `hull` in `bounding_shapes`), `log`, `bag metadata` or `report` (of a "
+        "fit that was compared); of `--prior` with `prior's` in front, as in `prior's URDF`; of `--against` with "
+        "`simulator's` in front: `simulator's log`."
     )
     path: str = field("Path as given; for a rosbag2 folder, each of its files.")
     sha256: str | None = field("SHA-256 of its bytes; null for a log that was created from arrays.")

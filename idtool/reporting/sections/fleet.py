@@ -14,7 +14,7 @@ class FleetSection(Section[FitReport]):
     """Errors of each robot of a fleet, and how it differs from the others."""
 
     title = "Robots of the fleet"
-    template = "fleet.html"
+    template = "friction.html"
 
     @override
     def table(self, report: FitReport) -> Table | None:
