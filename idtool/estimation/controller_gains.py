@@ -12,10 +12,10 @@ Else the factor is that of the prior's bodies, which are the URDF's at the known
 the logs, b0' G b0, that of the fitted bodies has the same size, b0' G b = b0' G b0, with G = Y_b' Y_b in units of the
 joints' noise. This is a linear equation. If all masses of the prior are x % wrong, so are the gains.
 
-A joint's residual is mostly noise of its position times kp. So E = qcmd − q is the noisy variable that is predicted, and
-not a regressor: with its measured values as a column, kp would shrink to zero wherever the other joints hardly tell its
-scale. That is the maximum-likelihood estimate of theta, gains and delay under the residual of E. Gauss-Newton steps on
-the R-factors find it, with the delay on the polynomial of `command_delay`; the fit that follows determines the delay
+A joint's residual is mostly noise of its position times kp. So E = qcmd − q is the noisy variable that is predicted,
+and not a regressor: with its measured values as a column, kp would shrink to zero wherever the other joints hardly tell
+its scale. That is the maximum-likelihood estimate of theta, gains and delay under the residual of E. Gauss-Newton steps
+on the R-factors find it, with the delay on the polynomial of `command_delay`; the fit that follows determines the delay
 again. Where joints hardly tell their scales from each other, the prior tells the size of each one's torque.
 
 Standard errors are those of blocks of time for a given factor; they take account of coefficients and delay.

@@ -159,8 +159,8 @@ def controller(draft: Draft) -> ConfigSection | None:
     if given is None and draft.can_fit_gains:
         relative = (
             "fit: idtool fit estimates the gains, but only relative to the masses: if all masses are 10 % wrong, so "
-            "are the gains; and only with a complete model: geared joints need rotors or armature. Give the numbers if you "
-            "know them; one number, as in kp: 25, is that of all joints."
+            "are the gains; and only with a complete model: geared joints need rotors or armature. Give the numbers if "
+            "you know them; one number, as in kp: 25, is that of all joints."
         )
         return ConfigSection("controller", (f"{what}.", relative, *late), {"kp": "fit", "kd": "fit", **delay})
     if given is None:
