@@ -22,6 +22,7 @@ from idtool.reporting.results.export import ExportReport
 from idtool.reporting.results.fit import FitReport
 from idtool.reporting.results.inspection import InspectionReport
 from idtool.reporting.results.reduction import ReductionReport
+from idtool.reporting.results.sample import SampleReport
 from idtool.reporting.results.setup import InitReport
 from idtool.reporting.results.simulation import SimulationReport
 from idtool.reporting.results.study import StudyReport
@@ -42,6 +43,7 @@ RESULTS: dict[str, tuple[type[Result], str]] = {
     "adapt.json": (AdaptationReport, "Written by `idtool adapt`."),
     "inspect": (InspectionReport, "Printed by `idtool inspect --json`."),
     "init": (InitReport, "Printed by `idtool init --json`."),
+    "sample": (SampleReport, "Printed by `idtool sample --json`."),
     "simulate": (SimulationReport, "Printed by `idtool simulate --json`; the motion is in the log that it writes."),
     "excite": (ExcitationReport, "Printed by `idtool excite --json`."),
     "export": (ExportReport, "Printed by `idtool export --json`."),

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from idtool.api.log import Log, read_log
     from idtool.api.model import Model
     from idtool.api.reduce import ReductionResult, reduce
+    from idtool.api.sample import SampleResult, sample
     from idtool.api.simulate import SimulationResult, simulate
     from idtool.api.study import StudyResult, study
     from idtool.api.validate import ValidationResult, validate
@@ -64,6 +65,7 @@ __all__ = [
     "Model",
     "ModelError",
     "ReductionResult",
+    "SampleResult",
     "SimulationResult",
     "SolverError",
     "StudyResult",
@@ -81,6 +83,7 @@ __all__ = [
     "inspect",
     "read_log",
     "reduce",
+    "sample",
     "simulate",
     "study",
     "validate",
@@ -99,6 +102,7 @@ _NAMES = {
     "idtool.api.log": ("Log", "read_log"),
     "idtool.api.model": ("Model",),
     "idtool.api.reduce": ("ReductionResult", "reduce"),
+    "idtool.api.sample": ("SampleResult", "sample"),
     "idtool.api.simulate": ("SimulationResult", "simulate"),
     "idtool.api.study": ("StudyResult", "study"),
     "idtool.api.validate": ("ValidationResult", "validate"),

@@ -1,12 +1,16 @@
-"""Simulate the sample logs: `python sample_logs/make.py` writes them and truth.yaml beside this file.
+"""Simulate the sample logs: `python sample_logs/make.py` writes them, truth.yaml, hidden/ and pair/ beside this file.
 
 Each robot's URDF and config hold what its designer believed. Here its true parameters are drawn, 10 to 30 % away, and
 its experiment is run in MuJoCo on a model built from them (two_mass.py). Nothing of idtool takes part but the writer
 of the files. The same seed gives the same numbers.
+
+The robots with hidden effects and the simulator pair are those of benchmarks/, which share no code with idtool either.
 """
 
 from __future__ import annotations
 
+import shutil
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -24,7 +28,13 @@ from two_mass import RATE, build, prior_links, rigid_torque
 from idtool.data.logs import make_log, write_log
 
 HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent / "benchmarks"))
+from hidden_effects.case_files import write_case  # noqa: E402  # found from here on
+from hidden_effects.case_list import list_cases  # noqa: E402
+from simulator_pair import write_pair  # noqa: E402
+
 ROBOTS: dict[str, tuple[ModuleType, int]] = {"leg": (leg, 1), "belt_arm": (belt_arm, 2)}  # and its seed
+HIDDEN = {"parallel_spring": "spring", "payload": "payload"}  # effect hidden in the log of a leg, and the folder
 AS_CSV = "leg_validate"  # the log that is also written as CSV
 BAND = 40.0  # Hz
 MODEL_ERROR = 0.1  # what the two-mass gears may add to the rigid model, as a part of the noise in the band
@@ -89,12 +99,26 @@ def make(name: str, experiment: ModuleType, seed: int) -> dict[str, Any]:
     }
 
 
+def make_hidden(effect: str, folder: Path) -> None:
+    """Simulate a leg with an effect that its model lacks; write its model, log and truth."""
+    shutil.rmtree(folder, ignore_errors=True)  # a case that is there already would be left as it is
+    (case,) = (
+        case
+        for case in list_cases("single", robots=["planar2"], magnitudes=["strong"], seeds=[0], seconds=12.0)
+        if [hidden.effect for hidden in case.hidden] == [effect]
+    )
+    write_case(case, folder)
+
+
 def main() -> None:
-    """Write every robot's logs and truth.yaml."""
+    """Write all samples and truth.yaml."""
     print(f"{'log':20}{'samples':>8}{'peak N m':>12}{'peak rad/s':>12}{'noise N m':>12}{'model error':>12}")
     truth = {name: make(name, experiment, seed) for name, (experiment, seed) in ROBOTS.items()}
     text = TRUTH + yaml.safe_dump(truth, sort_keys=False, default_flow_style=None, width=110)
     (HERE / "truth.yaml").write_text(text)
+    for effect, name in HIDDEN.items():
+        make_hidden(effect, HERE / "hidden" / name)
+    write_pair(HERE / "pair")
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from idtool.cli import (  # noqa: F401  # each adds its command
     init,
     inspect,
     reduce,
+    sample,
     simulate,
     study,
     validate,

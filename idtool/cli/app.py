@@ -15,7 +15,7 @@ FIRST_STEPS, IDENTIFY_AND_CHECK, FURTHER_ANALYSIS, USE_THE_MODEL = (
 )
 
 _ORDER = (  # in which a user needs them
-    *("inspect", "init", "ellipsoids", "excite"),
+    *("sample", "inspect", "init", "ellipsoids", "excite"),
     *("fit", "validate", "diagnose", "reduce"),
     *("study", "compare", "adapt"),
     *("simulate", "export"),

@@ -10,6 +10,7 @@ from pydantic import Field
 
 from idtool.common.exceptions import ConfigError
 from idtool.common.safe_yaml import read_yaml
+from idtool.common.samples import FOLDER, MANIFEST, sample_folder
 from idtool.estimation.dataset.experiment import Progress, prepare
 from idtool.estimation.fit import fit
 from idtool.robot.config import Config, ConfigRecord, Positive, read_config, validate_record
@@ -44,23 +45,15 @@ class Outcome:
 
 
 def find_manifest() -> Path:
-    """The manifest of the working directory, else that of the checkout idtool runs from.
+    """The manifest of the working directory, else that of the samples that come with idtool.
 
     Raises
     ------
     ConfigError
-        If there is neither: a wheel does not carry the sample logs, which are seven times its size.
+        If there is neither.
     """
-    checkout = Path(__file__).parents[2]
-    for folder in (Path(), checkout):
-        path = folder / "sample_logs" / "manifest.yaml"
-        if path.exists():
-            return path
-    raise ConfigError(
-        "sample_logs/manifest.yaml",
-        "is not in this directory, and the installed package has no sample logs; give a model and its logs "
-        "(idtool validate URDF LOG), or run this in a checkout of idtool",
-    )
+    path = Path(FOLDER, MANIFEST)
+    return path if path.exists() else sample_folder() / MANIFEST
 
 
 def read_manifest(path: Path) -> tuple[Case, ...]:

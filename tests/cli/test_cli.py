@@ -77,7 +77,8 @@ def test_help_explains_every_option(name: str) -> None:
 
 def test_the_help_lists_the_commands_in_the_order_in_which_they_are_needed() -> None:
     text = help_of()
-    places = [text.index(f" {name} ") for name in ("First steps inspect", "init", "Identify and check fit", "diagnose")]
+    names = ("First steps sample", "inspect", "init", "Identify and check fit", "diagnose")
+    places = [text.index(f" {name} ") for name in names]
     assert places == sorted(places)
 
 

@@ -157,7 +157,7 @@ class Reader:
     Attributes
     ----------
     folder
-        Where: holds the samples, and a robot and logs under the names that pages give them.
+        Where: holds a robot and logs under the names that pages give them.
     slow
         Whether to do what takes long, too.
     update
@@ -174,7 +174,6 @@ class Reader:
 
     def __post_init__(self) -> None:
         self.here = self.folder
-        shutil.copytree(SAMPLES, self.folder / "sample_logs")
         for name in ("configs", "benchmarks"):
             (self.folder / name).symlink_to(CHECKOUT / name)
         for stem in ("robot", "leg"):
@@ -185,6 +184,8 @@ class Reader:
 
     def read(self, page: Path) -> None:
         """Do all of a page."""
+        if page == README:  # it is read in a checkout; the other pages write the samples that they use
+            shutil.copytree(SAMPLES, self.folder / "sample_logs")
         for block in self._wanted(blocks(page)):
             if block.real:
                 self._lay_out_real_logs()
