@@ -53,10 +53,8 @@ class JointController:
                     f"joint {name} has neither torque nor position command; log one, or leave it out of joints",
                 )
             if controller is None or controller.kp_of(name) is None:
-                raise LogError(
-                    log.path,
-                    f"joint {name} has no torque; set its gains controller.kp and kd in the configuration, or fit",
-                )
+                what = f"joint {name} has no torque; set its gains controller.kp and kd in the configuration"
+                raise LogError(log.path, f"{what}, or fit in their place")
         if controller is None or not lacks_torque.any():
             return cls(lacks_torque, np.zeros((len(joints), 1)), np.zeros((len(joints), 1)), 0.0)
         kp = np.array([[controller.kp_of(name) or 0.0] for name in joints])

@@ -73,7 +73,7 @@ def test_forms_of_an_armature(read: Read, text: str, hip: Any, knee: Any) -> Non
     [
         ("armature: {hip: none}", "armature.hip.value: input should be a valid number"),
         ("armature: -1", "armature.value: input should be greater than 0"),
-        ("controller: {kp: stiff}", "controller.kp: input should be a valid number"),
+        ("controller: {kp: stiff}", "controller.kp: stiff is not a gain; give a number, or fit"),
         ("controller: {kp: -1}", "controller.kp: input should be greater than or equal to 0"),
         ("log: {scale: {tau: 0}}", "log.scale.tau: a scale of 0 removes the signal"),
         ("limits: {hip: 3}", "limits.hip: input should be a mapping"),
