@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from idtool.common.names import join_names
+from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
 from idtool.common.number_text import with_error
 from idtool.estimation.uncertainty.welch import FALSE_DISCOVERIES
-from idtool.reporting.compared_parameters import compare_parameters, decisive, p_limit, relative_sensitivity
+from idtool.reporting.compared_parameters import (
+    OTHER_COMBINATION,
+    compare_parameters,
+    decisive,
+    p_limit,
+    relative_sensitivity,
+)
 from idtool.reporting.compared_settings import changed_settings, shared_logs
 from idtool.reporting.number_text import percent
 from idtool.reporting.results.base import notice_fields, provenance_fields
@@ -215,10 +221,13 @@ def _notices(
         if report.fleet is not None:
             message = "it is a fleet: its friction is the mean of the robots"
             yield Notice("compared_fleet", "note", name, message)
-    others = [p for p in about if p.reason.startswith("another combination")]
-    if others:
-        message = f"{len(others)} base parameters are other combinations in A and B, and are not compared"
-        yield Notice("combinations_differ", "note", None, message, "the URDFs or the terms of the models differ")
+    if a.report.base_parameters and b.report.base_parameters and a.report.joints == b.report.joints:
+        others = [p for p in about if p.a is None or p.b is None or p.reason.startswith(OTHER_COMBINATION)]
+        if others:
+            count = count_text(len(others), "parameter")
+            message = f"the models have another geometry or other terms: {count} without counterpart"
+            advice = "the difference of another parameter may come from this, not from the robot"
+            yield Notice("combinations_differ", "warning", None, message, advice)
     if any(p.differs for p in about):
         message = "the standard errors contain noise only: effects that a model lacks move its parameters, too"
         advice = (

@@ -25,11 +25,12 @@ from idtool.reporting.results.fit import BaseParameter, FitReport, FrictionError
 from idtool.reporting.sections.fit import friction_units
 from idtool.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 
+OTHER_COMBINATION = "another combination"
 _QUANTILE = 0.5 + CONFIDENCE / 2
 _NORMAL_FACTOR = 1.96  # half the width of an interval in standard errors, if these are known exactly
 _SHARES = 1e-3  # relative, by which the terms of the same base parameter may differ
 _CLEARLY_NOT_ZERO = 3.0  # standard errors
-_MAX_NUMBER = 1e100  # beyond which squares of estimates or errors overflow
+_MAX_NUMBER = 1e60  # beyond which squares of estimates, or of their ratios to errors, overflow
 _MAX_ITEMS = 100  # of a parameter that is a list
 
 Key = tuple[ParameterKind, str, str]
@@ -138,7 +139,7 @@ def _reason(a: Parameter | None, b: Parameter | None) -> str:
     if a is None or b is None:
         return f"not in {'A' if a is None else 'B'}"
     if not _is_same_combination(a, b):
-        return "another combination in B, because of its geometry or its terms"
+        return f"{OTHER_COMBINATION} in B"
     sources = {name: _main_source(parameter.value) for name, parameter in (("A", a), ("B", b))}
     others = {name: source for name, source in sources.items() if source != "data"}
     if not others:
@@ -191,7 +192,7 @@ class _Scatter:
         ratios = []
         if report.repeatability is not None:
             ratios = [p.ratio for p in report.repeatability.parameters]
-        known = [ratio for ratio in ratios if ratio is not None]
+        known = [min(ratio, _MAX_NUMBER) for ratio in ratios if ratio is not None]
         self.overall = _at_least_one(math.sqrt(np.square(known).mean())) if known else 1.0
         base = report.base_parameters.parameters if report.base_parameters else ()
         self.of_base = [self.overall] * len(base)
@@ -224,7 +225,8 @@ def _with_interval(
     """A parameter with its estimate from the data alone, from the interval that covers this and the value."""
     estimate = None
     freedom = math.inf
-    if error is not None and interval is not None and _is_error(error):
+    is_usable = all(abs(end) < _MAX_NUMBER for end in (value, *(interval or ())))
+    if error is not None and interval is not None and _is_error(error) and is_usable:
         low, high = interval
         estimate = low + high - value
         factor = (high - low - abs(estimate - value)) / 2 / error

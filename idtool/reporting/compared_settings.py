@@ -25,13 +25,10 @@ def changed_settings(a: StoredFit, b: StoredFit) -> list[Setting]:
     a, b
         The results.
     """
-    of_a, of_b = _all_settings(a), _all_settings(b)
+    settings = list(_differences("", _reported_settings(a.report), _reported_settings(b.report)))
     if a.config is not None and b.config is not None:
-        of_a.update(_config_settings(a.config))
-        of_b.update(_config_settings(b.config))
-    names = dict.fromkeys([*of_a, *of_b])
-    settings = [Setting(name=name, a=of_a.get(name), b=of_b.get(name)) for name in names]
-    return [setting for setting in settings if setting.a != setting.b]
+        settings += _differences("", _config_settings(a.config), _config_settings(b.config))
+    return settings
 
 
 def shared_logs(a: FitReport, b: FitReport) -> list[str]:
@@ -40,9 +37,8 @@ def shared_logs(a: FitReport, b: FitReport) -> list[str]:
     return [source.path for source in a.inputs if source.kind == "log" and source.sha256 in hashes]
 
 
-def _all_settings(result: StoredFit) -> dict[str, str]:
-    """Versions, files and what the report says of the settings."""
-    report = result.report
+def _reported_settings(report: FitReport) -> dict[str, str]:
+    """Versions, files and what a report says of the settings."""
     settings = {"idtool": report.idtool}
     settings |= {f"version of {name}": version for name, version in report.versions.items()}
     for kind in ("URDF", "mesh"):
@@ -64,8 +60,8 @@ def _all_settings(result: StoredFit) -> dict[str, str]:
     return settings
 
 
-def _config_settings(config: Config) -> dict[str, str]:
-    """Keys of the configuration and their values, without what the fit has written there."""
+def _config_settings(config: Config) -> dict[str, Any]:
+    """A configuration as plain data, without what the fit has written there."""
     data = config.model_dump(mode="json", by_alias=True)
     data["filter"].pop("cutoff_hz")  # the report has the one that was used
     data["base"].pop("noise")
@@ -77,10 +73,14 @@ def _config_settings(config: Config) -> dict[str, str]:
         sensor.pop("offset")
     for rotor in data["rotors"].values():
         rotor.pop("inertial")
+    for shapes in data["bounding_shapes"].values():
+        for shape in shapes:
+            if shape.get("file") is not None:
+                shape["file"] = Path(shape["file"]).name  # else relative to the folder of the result
     data["friction"] = _without_values(data["friction"])
     for effect in data["effects"]:
         effect["parameters"] = _without_values(effect["parameters"])
-    return dict(_flattened("", data))
+    return data
 
 
 def _without_values(value: Any) -> Any:
@@ -92,26 +92,47 @@ def _without_values(value: Any) -> Any:
     return {key: _without_values(inner) for key, inner in value.items()}
 
 
-def _flattened(path: str, value: Any) -> Iterator[tuple[str, str]]:
-    """The keys within a value, each with its value as text."""
-    if isinstance(value, Mapping):
-        for key, inner in value.items():
-            yield from _flattened(f"{path}.{key}" if path else str(key), inner)
-    elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-        for name, item in zip(_item_names(value), value, strict=True):
-            yield from _flattened(f"{path}[{name}]", item)
-    elif value is not None and value != []:
-        text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-        yield path, _shortened(Path(text).name if path.endswith(".file") else text)
+def _differences(path: str, a: Any, b: Any) -> Iterator[Setting]:
+    """The keys of which two values differ; one for a part that only one of them has."""
+    if a == b:
+        return
+    if _is_list_of_parts(a) and _is_list_of_parts(b):
+        a, b = _by_name(a), _by_name(b)
+    if isinstance(a, Mapping) and isinstance(b, Mapping):
+        for key in dict.fromkeys([*a, *b]):
+            yield from _differences(f"{path}.{key}" if path else str(key), a.get(key), b.get(key))
+    else:
+        yield Setting(name=path, a=_value_text(a), b=_value_text(b))
 
 
-def _item_names(items: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Names of the items of a list: what they are called, or their numbers."""
+def _is_list_of_parts(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(item, Mapping) for item in value)
+
+
+def _by_name(items: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """The items of a list, by what they are called, or by their numbers."""
     names = []
     for i, item in enumerate(items):
         parts = [str(item[key]) for key in ("name", "effect", "joint", "link", "body") if item.get(key)]
         names.append(" ".join(parts) or str(i + 1))
-    return names if len(set(names)) == len(names) else [f"{i + 1} {name}" for i, name in enumerate(names)]
+    if len(set(names)) < len(names):
+        names = [f"{i + 1} {name}" for i, name in enumerate(names)]
+    return dict(zip(names, items, strict=True))
+
+
+def _value_text(value: Any) -> str | None:
+    """A value as text, its parts without those that are not set; None if it is not set."""
+    if value in (None, [], {}):
+        return None
+    if isinstance(value, str):
+        return _shortened(value)
+    return _shortened(json.dumps(_without_unset(value), ensure_ascii=False))
+
+
+def _without_unset(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _without_unset(inner) for key, inner in value.items() if inner not in (None, [], {})}
+    return value
 
 
 def _shortened(text: str) -> str:

@@ -240,6 +240,14 @@ def test_other_combinations_are_not_compared(report: Report) -> None:
     assert "combinations_differ" in [notice.code for notice in result.notices]
 
 
+def test_other_terms_are_said(report: Report) -> None:
+    changed = copy.deepcopy(report)
+    del changed["base_parameters"]["parameters"][5]
+    result = compared(report, changed)
+    (notice,) = [notice for notice in result.notices if notice.code == "combinations_differ"]
+    assert "1 parameter without counterpart" in notice.message
+
+
 def test_without_base_parameters_single_ones_are_compared(report: Report) -> None:
     quick = copy.deepcopy(report)
     quick["base_parameters"] = None
@@ -260,6 +268,18 @@ def test_robots_with_different_joints_are_compared_in_what_they_share(report: Re
     assert result.joints_only_in_b == ("ankle",)
     assert result.summary.startswith("Not the same joints: only B has ankle. ")
     assert result.compared == 38
+
+
+def test_numbers_beyond_all_bounds_are_not_compared(report: Report) -> None:
+    """A stranger's file may have any: their squares would overflow."""
+    changed = copy.deepcopy(report)
+    changed["base_parameters"]["parameters"][0]["interval"][1] = 1e300
+    changed["base_parameters"]["parameters"][1]["standard_error"] = 1e-310
+    changed["friction"]["hip"]["standard_error"]["viscous"] = 1e300
+    result = compared(report, changed)
+    undecided = [p.reason for p in result.parameters if p.kind == "base"][:2]
+    assert undecided == ["not determined by the data in B"] * 2
+    assert result.compared == 36
 
 
 def test_nothing_in_common_is_not_an_answer(report: Report) -> None:
@@ -301,6 +321,15 @@ def test_settings_that_differ_are_listed_and_identified_values_are_not(report: R
         "friction.hip.coulomb": ("true", "false"),
         "velocity": ("auto", "measured"),
     }
+
+
+def test_a_part_that_one_configuration_lacks_is_one_setting(report: Report) -> None:
+    rotor = {"joint": "hip", "gear_ratio": 10.0}
+    both = stored(report, {"rotors": {"r1": rotor}}), stored(report, {"rotors": {"r1": rotor, "r2": rotor}})
+    (setting,) = changed_settings(*both)
+    assert (setting.name, setting.a) == ("rotors.r2", None)
+    assert setting.b is not None
+    assert '"gear_ratio": 10.0' in setting.b
 
 
 def test_the_page_shows_the_answer_and_escapes_names(report: Report) -> None:
