@@ -50,6 +50,16 @@ class LinkGeometry:
     meshes: tuple[str, ...] = ()
 
 
+def links_with_geometry(robot: Robot) -> set[str]:
+    """Names of the links that have collision or visual geometry in the URDF, whether or not it can be read."""
+    names = set()
+    for link in parse_xml(robot.path, robot.text).iterfind("link"):
+        parts = [*link.iterfind("collision"), *link.iterfind("visual")]
+        if any(_geometry_element(part) is not None for part in parts):
+            names.add(str(link.get("name")))
+    return names
+
+
 def link_geometry(robot: Robot, link: str) -> LinkGeometry:
     """The collision geometry of a link or, where that is absent or not all of it can be read, the visual one.
 
