@@ -192,7 +192,7 @@ def excite(
         If the model, the configuration or a log cannot be used. Messages contain the option names of the command line.
     """
     report_progress = progress or ignore_progress
-    _check_options(criterion, duration, rate, margin, clearance, max_frequency)
+    _check_options(criterion, duration, rate, margin, clearance, max_frequency, seed)
     _check_standing(stand, feet, friction_coefficient, sole_size, tip, decide)
     model = as_model(model)
     if stand:
@@ -258,9 +258,17 @@ def excite(
 
 
 def _check_options(
-    criterion: str, duration: float, rate: float, margin: float, clearance: float, max_frequency: float | None
+    criterion: str,
+    duration: float,
+    rate: float,
+    margin: float,
+    clearance: float,
+    max_frequency: float | None,
+    seed: int | None,
 ) -> None:
     """Check the options before anything is read; ConfigError if one is out of its range."""
+    if seed is not None and seed < 0:
+        raise ConfigError("--seed", f"{seed} is negative; give 0 or more")
     if criterion not in CRITERIA:
         raise ConfigError("--criterion", f"{criterion} is not a criterion; {suggestion(criterion, CRITERIA)}")
     for option, value, least, most in (

@@ -364,7 +364,7 @@ def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> 
     lines = said(found).splitlines()
     assert lines[1].startswith("✓ effects: The model lacks Stribeck friction on hip")
     (row,) = [line for line in lines if line.startswith("1 ")]
-    for cell in ("Stribeck friction", "hip", "stribeck 1.91 ± 0.20 N·m, velocity 0.1500 rad/s", "0.873 → 0.475"):
+    for cell in ("Stribeck friction", "hip", "stribeck 1.91 ± 0.20 N·m, velocity 0.150 rad/s", "0.873 → 0.475"):
         assert cell in row
     for cell in ("0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load-dependent friction on hip"):
         assert cell in row
@@ -573,7 +573,13 @@ def test_the_only_effect_searched_for_is_named(found: Diagnosis) -> None:
 
 @pytest.mark.parametrize(
     ("score", "error", "text"),
-    [(0.64, 0.03, "64.0 ± 3.0 %"), (-0.0002, 0.0003, "0 %"), (-0.0002, 0.02, "0.0 ± 2.0 %"), (-0.0001, None, "0.0 %")],
+    [
+        (0.64, 0.03, "64.0 ± 3.0 %"),
+        (1.0, 0.21, "100 ± 21 %"),
+        (-0.0002, 0.0003, "0 %"),
+        (-0.0002, 0.02, "0.0 ± 2.0 %"),
+        (-0.0001, None, "0 %"),
+    ],
 )
 def test_a_score_is_never_minus_zero(score: float, error: float | None, text: str) -> None:
     assert score_text(score, error) == text

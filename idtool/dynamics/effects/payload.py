@@ -134,11 +134,10 @@ class Payload(LinkEffect):
             return ""
         links = " and ".join(str(entry.link) for entry in entries)
         return (
-            f"the payload on {links}, {number(mass)} kg, is heavier than all bodies of the model, "
-            f"{number(of_model)} kg: "
-            "it may compensate for something the model lacks, such as rotors, or for wrong masses of the URDF; weigh "
-            "the moving parts and diagnose with known.total_mass and --inertia refit, or log motion that lifts the load in "
-            "other postures"
+            f"the payload on {links}, {number(mass)} kg, is heavier than all bodies of the model, {number(of_model)} "
+            "kg: it may compensate for something the model lacks, such as rotors, or for wrong masses of the URDF; "
+            "weigh the moving parts and diagnose with known.total_mass and --inertia refit, or log motion that lifts "
+            "the load in other postures"
         )
 
     @classmethod

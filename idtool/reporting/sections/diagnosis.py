@@ -231,7 +231,7 @@ def score_text(score: float | None, error: float | None) -> str:
     if score is None:
         return NO_VALUE
     if error is None or not math.isfinite(error):
-        return percent(score)
+        return "0 %" if abs(score) < _MIN_SCORE else percent(score)
     if max(abs(score), error) < _MIN_SCORE:
         return "0 %"
     text, deviation = with_error(100 * score, 100 * error)
