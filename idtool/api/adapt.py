@@ -7,9 +7,9 @@ from pathlib import Path
 from idtool.api.data import Logs, call_text, changed_options, load_experiment
 from idtool.api.model import Model, Source
 from idtool.api.results import Progress, SavableResult, ignore_progress, notice_lines, table_lines
+from idtool.common.number_text import number, short_number
 from idtool.common.outputs import as_json
 from idtool.reporting.adaptation_report import adaptation_report
-from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.adaptation import AdaptationReport
 
 
@@ -24,10 +24,10 @@ class AdaptationResult(AdaptationReport, SavableResult):
         return {"adapt.json": as_json(self.to_json()), "adapt.html": adapt_page(self, made_by)}
 
     def __repr__(self) -> str:
-        title = f"AdaptationResult: {self.samples} updates at {self.update_hz:.4g} Hz"
+        title = f"AdaptationResult: {self.samples} updates at {short_number(self.update_hz, 4)} Hz"
         rows = []
         for name, body in self.final.bodies.items():
-            rows.append([name, four_digits(body.mass), "yes" if body.realizable else "no"])
+            rows.append([name, number(body.mass), "yes" if body.realizable else "no"])
         lines = [title]
         lines += table_lines(["body", "mass [kg]", "realizable"], rows)
         lines += notice_lines(self.notices)
@@ -58,18 +58,19 @@ def adapt(
     from idtool.estimation.command_delay import with_delay
     from idtool.estimation.controller_gains import with_gains
     from idtool.estimation.dataset.experiment import NOT_SIMULATED
-    from idtool.estimation.identification import choose_sets
+    from idtool.estimation.identification import bounds_notices, choose_sets
     from idtool.estimation.online.adapt import adapt as identify_online
 
     report_progress = progress or ignore_progress
     loaded = load_experiment(model, logs, holdout=0.0, progress=report_progress)
     with_known_gains, gains = with_gains(loaded, report_progress)
     experiment, delay, _ = with_delay(with_known_gains, report_progress)
-    sets, set_notices = choose_sets(experiment.model.bodies, experiment.config.constraints)
+    constraints = experiment.config.constraints
+    sets = choose_sets(experiment.model.bodies, constraints)
     adaptation = identify_online(experiment, sets, forgetting, progress=report_progress)
     notices = [notice for notice in experiment.notices if notice.code not in NOT_SIMULATED]
     notices += [notice for part in (gains, delay) if part for notice in part.notices]
-    notices += set_notices
+    notices += bounds_notices(experiment.model, sets, constraints)
     result = AdaptationResult.from_result(adaptation_report(adaptation, experiment, notices))
     result._made_by = call_text("adapt", model, logs, **changed_options(adapt, forgetting=forgetting))
     return result

@@ -25,6 +25,7 @@ from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, as_mode
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import printable, without_secrets
+from idtool.common.number_text import number
 from idtool.common.outputs import as_json, as_yaml
 from idtool.data.logs import read_log
 from idtool.data.logs.message_options import message_options
@@ -35,7 +36,6 @@ from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.reporting.diagnosis_report import diagnosis_report
 from idtool.reporting.diagnosis_text import next_steps, step_title
 from idtool.reporting.fit_report import model_config
-from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.diagnosis import DiagnosisReport
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
         for name in before:
             share = self.gap_closed[name]
             gap_closed = "–" if share is None else f"{100 * share:.0f} %"
-            errors = [four_digits(before[name]), four_digits(after[name]), four_digits(self.noise_floor[name])]
+            errors = [number(before[name]), number(after[name]), number(self.noise_floor[name])]
             rows.append([name, *errors, gap_closed])
         lines = [f"DiagnosisResult: {self.summary}"]
         for i, step in enumerate(self.steps, 1):

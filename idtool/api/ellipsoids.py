@@ -8,10 +8,10 @@ from pathlib import Path
 from idtool.api.model import Model, Source, as_model
 from idtool.api.results import notice_lines, table_lines
 from idtool.common.notice import Notice
+from idtool.common.number_text import number
 from idtool.common.outputs import as_yaml, check_file, write_all
 from idtool.estimation.problem.link_check import check_links, nearest_bodies, repaired
 from idtool.reporting.check_report import check_report
-from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.base import LinkEllipsoid, notice_fields
 from idtool.reporting.results.ellipsoids import CheckReport, EllipsoidsReport
 from idtool.robot.bounding import bounding_ellipsoids
@@ -59,7 +59,7 @@ class CheckResult(CheckReport):
     def __repr__(self) -> str:
         rows = []
         for name, link in self.links.items():
-            rows.append([name, four_digits(link.mass), "; ".join(link.violations) or "ok"])
+            rows.append([name, number(link.mass), "; ".join(link.violations) or "ok"])
         table = table_lines(["link", "mass [kg]", "inertia"], rows)
         return "\n".join([f"CheckResult {self.urdf}", *table])
 

@@ -20,6 +20,7 @@ from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.interrupt import delay_interrupt
 from idtool.common.names import join_names, suggestion
 from idtool.common.notice import Notice
+from idtool.common.number_text import number
 from idtool.common.outputs import write_all
 from idtool.data.controller import with_unknown_torque
 from idtool.data.logs import JointLog, check_log_file, write_log
@@ -42,12 +43,12 @@ from idtool.excitation.standing.design import design_standing
 from idtool.excitation.standing.task import StandingOptions, StandingTask, make_standing_task
 from idtool.excitation.task import DesignTask, make_design_task
 from idtool.reporting.excitation_report import excitation_report
-from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.excitation import ExcitationReport
 from idtool.robot.config import Base, Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot
 
+LOG_NAME = "excitation.mcap"  # what the log is called in a folder
 CRITERIA = ("d", "a", "e", "condition")
 ALL_JOINTS = ""  # in place of a joint: all joints
 
@@ -65,7 +66,7 @@ class ExcitationResult(ExcitationReport):
     @property
     def log(self) -> Log:
         """The trajectory as a log of commands; q and v are those that a perfect controller would give."""
-        return Log.from_record(self._design.log(Path("excitation.mcap")))
+        return Log.from_record(self._design.log(Path(LOG_NAME)))
 
     def save(self, file: str | os.PathLike[str], made_by: str = "idtool.excite(…)") -> tuple[Path, Path]:
         """Write the trajectory as a log, and a page beside it.
@@ -101,7 +102,7 @@ class ExcitationResult(ExcitationReport):
         title = f"ExcitationResult: {self.duration:g} s at {self.rate_hz:g} Hz"
         rows = []
         for p in self.base_parameters:
-            rows.append([p.name, four_digits(p.prior), four_digits(p.standard_error), p.unit])
+            rows.append([p.name, number(p.prior), number(p.standard_error), p.unit])
         lines = [title]
         lines += table_lines(["base parameter", "prior", "± se", "unit"], rows)
         lines += notice_lines(self.notices)
@@ -192,7 +193,7 @@ def excite(
         If the model, the configuration or a log cannot be used. Messages contain the option names of the command line.
     """
     report_progress = progress or ignore_progress
-    _check_options(criterion, duration, rate, margin, clearance, max_frequency)
+    _check_options(criterion, duration, rate, margin, clearance, max_frequency, seed)
     _check_standing(stand, feet, friction_coefficient, sole_size, tip, decide)
     model = as_model(model)
     if stand:
@@ -258,9 +259,17 @@ def excite(
 
 
 def _check_options(
-    criterion: str, duration: float, rate: float, margin: float, clearance: float, max_frequency: float | None
+    criterion: str,
+    duration: float,
+    rate: float,
+    margin: float,
+    clearance: float,
+    max_frequency: float | None,
+    seed: int | None,
 ) -> None:
     """Check the options before anything is read; ConfigError if one is out of its range."""
+    if seed is not None and seed < 0:
+        raise ConfigError("--seed", f"{seed} is negative; give 0 or more")
     if criterion not in CRITERIA:
         raise ConfigError("--criterion", f"{criterion} is not a criterion; {suggestion(criterion, CRITERIA)}")
     for option, value, least, most in (

@@ -14,6 +14,7 @@ from idtool.api.distribution import Distribution, open_distribution
 from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, as_model, identified_urdf_text
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError
+from idtool.common.number_text import number, short_number
 from idtool.common.outputs import as_json, as_yaml
 from idtool.common.processes import Background, in_processes
 from idtool.common.units import units_text
@@ -26,7 +27,6 @@ from idtool.estimation.fleet import Fleet, fit_fleet
 from idtool.estimation.identification import Method
 from idtool.estimation.reduced_experiment import ReducedExperiment
 from idtool.reporting.fit_report import fit_report, model_config
-from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.fit import FitReport
 
 if TYPE_CHECKING:
@@ -100,14 +100,14 @@ class FitResult(FitReport, SavableResult, Recordable):
         head += ["viscous", "coulomb"]
         rows = []
         for name in (*self.joints, "overall"):
-            row = [name, four_digits(rms[name])]
+            row = [name, number(rms[name])]
             if prior:
-                row.append(four_digits(prior[name]))
+                row.append(number(prior[name]))
             friction = self.friction.get(name)
-            row.append(four_digits(friction.viscous if friction else None))
-            row.append(four_digits(friction.coulomb if friction else None))
+            row.append(number(friction.viscous if friction else None))
+            row.append(number(friction.coulomb if friction else None))
             rows.append(row)
-        masses = [f"{name} {body.mass:.4g}" for name, body in self.bodies.items()]
+        masses = [f"{name} {short_number(body.mass)}" for name, body in self.bodies.items()]
         mass_text = ", ".join(masses[:_MAX_MASSES])
         if len(masses) > _MAX_MASSES:
             mass_text += f" and {len(masses) - _MAX_MASSES} more"

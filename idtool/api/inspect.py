@@ -13,6 +13,7 @@ from idtool.api.model import Model, Source, load_settings
 from idtool.api.results import notice_lines
 from idtool.common.exceptions import IdtoolError
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.base_sensors import sensor_options
 from idtool.data.controller import with_unknown_torque
 from idtool.data.inspection import inspect_log
@@ -31,7 +32,7 @@ class InspectionResult(InspectionReport):
 
     def __repr__(self) -> str:
         joints = ", ".join(self.joints)
-        title = f"InspectionResult {self.path}: {self.samples} samples at {self.rate_hz:.4g} Hz, {joints}"
+        title = f"InspectionResult {self.path}: {self.samples} samples at {short_number(self.rate_hz, 4)} Hz, {joints}"
         return "\n".join([title, *notice_lines(self.notices)])
 
 

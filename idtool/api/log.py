@@ -18,6 +18,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.base_sensors import POSE
 from idtool.data.logs import SIGNALS, JointLog, make_log, write_log
 from idtool.data.logs import read_log as read_record
@@ -267,7 +268,7 @@ class Log:
         count = len(self.joints)
         noun = "joint" if count == 1 else "joints"
         joints = f"{count} {noun} ({join_names(self.joints)})"
-        time = f"{self.seconds:.4g} s at {self.rate:.4g} Hz"
+        time = f"{short_number(self.seconds)} s at {short_number(self.rate, 4)} Hz"
         if len(self.segments) > 1:
             time += f", {len(self.segments)} segments"
         return f"Log {self.path.name}: {joints}, {time}: {', '.join(self.signals)}"

@@ -19,6 +19,7 @@ from idtool.api.results import Progress, Recordable, ignore_progress, notice_lin
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.notice import Notice
+from idtool.common.number_text import number, short_number
 from idtool.common.outputs import OutputError
 from idtool.common.units import position_units, units_text
 from idtool.data.logs import check_log_file, log_suffixes, write_log
@@ -30,7 +31,6 @@ from idtool.estimation.evaluation.simulated_log import (
     simulated_log,
     under_controller,
 )
-from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.base import NoticeReport, notice_fields
 from idtool.reporting.results.simulation import MotionRmse, SimulationReport
 from idtool.robot.config import Config
@@ -161,13 +161,13 @@ class SimulationResult(Recordable):
         velocity_unit = " or ".join(f"{unit}/s" for unit in kinds)
         loop = self.kind.replace("_", " ")
         restarts = "never restarted" if self.window is None else f"{self.window:g} s at a time"
-        lines = [f"SimulationResult: {self.seconds:.4g} s {loop}, {restarts}"]
+        lines = [f"SimulationResult: {short_number(self.seconds)} s {loop}, {restarts}"]
         velocity = self.rmse.velocity
         if self.rmse.position is not None:
             rows = []
             for name, position_error in self.rmse.position.items():
                 velocity_error = velocity[name] if velocity else None
-                rows.append([name, four_digits(position_error), four_digits(velocity_error)])
+                rows.append([name, number(position_error), number(velocity_error)])
             head = ["RMS error", f"position [{position_unit}]", f"velocity [{velocity_unit}]"]
             lines += table_lines(head, rows)
         lines += notice_lines(self.notices)
@@ -281,7 +281,7 @@ def _position_units(model: RobotModel) -> dict[str, str]:
 def _motion_notices(experiment: Experiment, simulated: SimulatedLog) -> Iterator[Notice]:
     """Notices about a motion that is not that of the log, or not of all of it."""
     if experiment.equation.contacts is not None and simulated.seconds < _MOST_OF_LOG * simulated.log_seconds:
-        share = f"{simulated.seconds:.3g} s of {simulated.log_seconds:.3g} s"
+        share = f"{short_number(simulated.seconds)} s of {short_number(simulated.log_seconds)} s"
         message = f"simulated: {share}, in which no contact force acts on the joints"
         yield Notice("simulated_without_contact", "note", None, f"{message}; the log has gaps elsewhere")
     if simulated.diverged:
@@ -296,7 +296,10 @@ def _motion_notices(experiment: Experiment, simulated: SimulatedLog) -> Iterator
         error = simulated.position["overall"]
         motion = float(np.sqrt(np.nanvar(simulated.measured, axis=0).mean()))
         if error > motion:
-            difference = f"it differs by {error:.3g} {units} RMS, and the joints move by {motion:.3g} {units} RMS"
+            difference = (
+                f"it differs by {short_number(error)} {units} RMS, and the joints move by "
+                f"{short_number(motion)} {units} RMS"
+            )
             message = f"the simulated motion does not follow the log: {difference}"
             advice = "check kp and kd of the controller"
             if simulated.kind == "open_loop":

@@ -10,11 +10,11 @@ from idtool.api.distribution import open_distribution
 from idtool.api.model import Model, Source
 from idtool.api.results import Progress, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError
+from idtool.common.number_text import number
 from idtool.common.outputs import as_json
 from idtool.common.units import units_text
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.evaluation.torque_errors import Evaluation
-from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.study import StudyReport
 from idtool.reporting.study_report import study_report
 
@@ -37,8 +37,8 @@ class StudyResult(StudyReport, SavableResult):
         title = f"StudyResult: RMS torque error [{units}] below {self.band_hz:g} Hz"
         rows = []
         for name, entry in self.sets.items():
-            train = four_digits(entry.rms.train["overall"])
-            validation = four_digits(entry.rms.validation["overall"])
+            train = number(entry.rms.train["overall"])
+            validation = number(entry.rms.validation["overall"])
             rows.append([name, train, validation, str(entry.violations)])
         lines = [title]
         lines += table_lines(["constraints", "train", "held out", "not realizable"], rows)

@@ -16,6 +16,7 @@ from idtool.api.results import Progress, Recordable, SavableResult, ignore_progr
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import suggestion
+from idtool.common.number_text import number
 from idtool.common.outputs import as_json
 from idtool.common.units import units_text
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
@@ -25,7 +26,6 @@ from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.estimation.offset_notices import held_out_offset_notices
 from idtool.estimation.reduced_experiment import ReducedExperiment
 from idtool.reporting.fit_report import validation_report
-from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.validation import ValidationReport
 from idtool.reporting.simulation_report import simulation_report, why_not_simulated
 from idtool.robot.model import RobotModel
@@ -86,9 +86,9 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
             head.append("bound")
         rows = []
         for name in (*self.joints, "overall"):
-            row = [name, four_digits(self.rms.model[name])]
+            row = [name, number(self.rms.model[name])]
             if prior:
-                row.append(four_digits(prior[name]))
+                row.append(number(prior[name]))
             share = self.nrms.get(name)
             row.append("" if share is None else f"{100 * share:.1f} %")
             if self.bound:
@@ -103,7 +103,7 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
         """The bound of a joint, marked where it was missed; empty without one."""
         if name not in self.bound:
             return ""
-        bound = four_digits(self.bound[name])
+        bound = number(self.bound[name])
         return bound if self.ok[name] else f"{bound} (not met)"
 
 

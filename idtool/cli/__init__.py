@@ -79,6 +79,12 @@ def _print_error(message: str) -> int:
     return 2
 
 
+def _plain_words(text: str) -> str:
+    """The message of a parser without its own terms."""
+    text = text.replace("Value error, ", "").replace("Input should", "should")
+    return text.partition(", unable to parse")[0]
+
+
 def _usage_message(error: TyperException) -> str:
     """A mistake in the command's words as one line."""
     if getattr(error, "option_name", None) == "--decide":
@@ -87,7 +93,7 @@ def _usage_message(error: TyperException) -> str:
     if similar:  # which typer puts after the message in its own words
         text = f"{error.message.rstrip('.')}; did you mean {' or '.join(sorted(similar))}?"
     else:
-        text = " ".join(error.format_message().split()).rstrip(".")
+        text = _plain_words(" ".join(error.format_message().split()).rstrip("."))
     context = getattr(error, "ctx", None)
     command = context.command_path if context else "idtool"
     advice = f" Try {command} --help" if text.endswith("?") else f"; try {command} --help"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from idtool.cli.app import FIRST_STEPS, app
-from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, finish
+from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, finish, output_file
 from idtool.common.exceptions import ConfigError
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def ellipsoids_command(
     urdf: UrdfArgument,
     config: ConfigOption = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="YAML file to write; default: standard output.")
+        Path | None, typer.Option("--out", "-o", help="Folder, or YAML file to write; default: standard output.")
     ] = None,
     margin: Annotated[float, typer.Option(min=0.0, help="Fraction by which the semi-axes are enlarged.")] = 0.05,
     check: Annotated[
@@ -51,6 +51,7 @@ def ellipsoids_command(
         raise ConfigError("--out", "cannot be combined with --check; --repair names the file to write")
     terminal = Terminal(quiet, as_json)
     if out is not None:
+        out = output_file(out, "ellipsoids.yaml")
         check_file(out, [urdf, urdf.with_suffix(".yaml"), *([config] if config else [])])
     if repair is not None:  # the URDF itself may be repaired
         check_file(repair, [])

@@ -19,6 +19,7 @@ from idtool.cli.options import (
     UrdfArgument,
     command_line,
     finish,
+    output_file,
     output_folder,
 )
 from idtool.common.exceptions import ConfigError
@@ -135,14 +136,14 @@ def excite_command(
     quiet: QuietOption = False,
 ) -> None:
     """Design an exciting trajectory within the limits, and print the expected standard errors."""
-    from idtool.api.excite import excite
+    from idtool.api.excite import LOG_NAME, excite
     from idtool.api.model import Model
     from idtool.data.logs import check_log_file
     from idtool.reporting.terminal import Terminal
     from idtool.reporting.terminal.excite import show_excitation
 
     terminal = Terminal(quiet, as_json)
-    file = out or output_folder(urdf, None) / "excitation.mcap"
+    file = output_file(out, LOG_NAME) if out else output_folder(urdf, None) / LOG_NAME
     check_log_file(file, [urdf, *(log or []), *([config] if config else [])])
     with terminal.progress() as progress:
         progress("reading", 0.0)

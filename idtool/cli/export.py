@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from idtool.cli.app import USE_THE_MODEL, app
-from idtool.cli.options import JsonOption, QuietOption, finish
+from idtool.cli.options import JsonOption, QuietOption, finish, output_file
 
 
 @app.command("export", rich_help_panel=USE_THE_MODEL, epilog="Example: idtool export leg_idtool --to mujoco")
@@ -35,7 +35,8 @@ def export_command(
         typer.Option(
             "--out",
             "-o",
-            help="File to write; default: OUT/mujoco.xml, OUT/drake.urdf, or FILE with _patched in its name.",
+            help="Folder, or file to write; default: OUT/mujoco.xml, OUT/drake.urdf, or FILE with _patched in its "
+            "name.",
         ),
     ] = None,
     rotor_bodies: Annotated[
@@ -56,11 +57,11 @@ def export_command(
 
     terminal = Terminal(quiet, as_json)
     if out is not None:
-        check_file(out, [])
+        check_file(output_file(out, "model"), [])
     with terminal.progress() as progress:
         progress("reading", 0.0)
         result = export(folder, to, rotor_bodies=rotor_bodies, patch=patch)
-        file = out or result.default_file
+        file = output_file(out, result.default_file.name) if out else result.default_file
         is_left = result.leaves(file)
         result.save(file)
     report = result.model_copy(update={"file": None if is_left else str(file)})

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from idtool.cli.app import FIRST_STEPS, app
-from idtool.cli.options import JsonOption, LogsArgument, QuietOption, UrdfArgument, finish
+from idtool.cli.options import JsonOption, LogsArgument, QuietOption, UrdfArgument, finish, output_file
 
 
 @app.command("init", rich_help_panel=FIRST_STEPS, epilog="Example: idtool init leg.urdf run1.mcap run2.mcap")
@@ -20,7 +20,8 @@ def init_command(
         typer.Option("--config", "-c", help="Known keys, such as controller gains; they are kept unchanged."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="File to write; default: <urdf stem>.yaml beside the URDF.")
+        Path | None,
+        typer.Option("--out", "-o", help="Folder, or YAML file to write; default: <urdf stem>.yaml beside the URDF."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     as_json: JsonOption = False,
@@ -32,7 +33,8 @@ def init_command(
     from idtool.reporting.terminal.init import show_initial_config
 
     terminal = Terminal(quiet, as_json)
-    file = out or default_configuration(urdf)
+    default = default_configuration(urdf)
+    file = output_file(out, default.name) if out else default
     check_configuration(file, [urdf, *logs], force)
     with terminal.progress() as progress:
         progress("reading", 0.0)

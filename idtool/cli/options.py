@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 LOG_FORMATS = "MCAP, CSV or a rosbag2 folder"  # that help texts name
 REDUCTIONS = "reductions"  # folder of those that a cluster made, in that of the results
-LOG_TO_WRITE = "Log to write, MCAP or CSV according to its extension"
+LOG_TO_WRITE = "Folder, or log to write, MCAP or CSV according to its extension"
 
 
 def resolve_unnamed(path: Path | None) -> Path | None:
@@ -207,6 +207,7 @@ AssumeOption = Annotated[
     list[str] | None,
     typer.Option(
         metavar="EFFECT:JOINT",
+        autocompletion=_complete_effects,
         help="Start with this effect, on this joint or link if it acts on one; repeatable.",
     ),
 ]
@@ -250,6 +251,20 @@ def output_folder(urdf: Path, out: Path | None) -> Path:
     folder = out or Path(f"{stem(urdf)}_idtool")
     check_folder(folder)
     return folder
+
+
+def output_file(out: Path, name: str) -> Path:
+    """The one file that a command writes: the path itself or, if it is a folder or has no extension, a file in it.
+
+    Parameters
+    ----------
+    out
+        Path that was given.
+    name
+        Name of the file in a folder.
+    """
+    is_folder = out.is_dir() or not out.suffix
+    return out / name if is_folder else out
 
 
 def parse_bounds(texts: list[str], experiment: Experiment) -> dict[str, float]:

@@ -21,7 +21,9 @@ from idtool.cli.options import (
     UrdfArgument,
     distribution_of,
     finish,
+    output_file,
 )
+from idtool.common.names import stem
 
 ReductionOption = Annotated[
     Path,
@@ -29,7 +31,7 @@ ReductionOption = Annotated[
         "--out",
         "-o",
         metavar="FILE.idr",
-        help="File to write; its name ends in .idr.",
+        help="File to write, whose name ends in .idr, or folder for a file that is named after the URDF.",
         show_default=False,
     ),
 ]
@@ -59,7 +61,7 @@ def reduce_command(
     from idtool.reporting.terminal.reduction import show_reduction
 
     terminal = Terminal(quiet, as_json)
-    file = check_reduction_file(out)
+    file = check_reduction_file(output_file(out, f"{stem(urdf)}.idr"))
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, logs, config)
         parts = file.with_name(f"{file.stem}_{REDUCTIONS}")

@@ -17,9 +17,11 @@ from idtool.cli.options import (
     RerunOption,
     UrdfArgument,
     finish,
+    output_file,
     output_folder,
     require_log,
 )
+from idtool.common.number_text import short_number
 from idtool.common.units import units_text
 
 if TYPE_CHECKING:
@@ -85,7 +87,7 @@ def simulate_command(
     from idtool.reporting.terminal import Terminal
 
     terminal = Terminal(quiet, as_json)
-    file = out or output_folder(urdf, None) / LOG_NAME
+    file = output_file(out, LOG_NAME) if out else output_folder(urdf, None) / LOG_NAME
     check_log_file(file, [path for path in (urdf, log, config) if path])
     with terminal.progress() as progress:
         model, logs = Model.with_logs(urdf, [log] if log else [], config)
@@ -103,10 +105,10 @@ def _show_simulation(terminal: Terminal, report: SimulationReport, measured: str
     """Print the kind of simulation, its distance from ``measured``, the notices, and the file."""
     loop = "closed loop under the controller" if report.kind == "closed_loop" else "open loop under the logged torque"
     restarts = "never restarted" if report.window is None else f"{report.window:g} s at a time"
-    terminal.say(f"{loop}, {restarts}: {report.seconds:.4g} s simulated in {report.wall_seconds:.1f} s")
+    terminal.say(f"{loop}, {restarts}: {short_number(report.seconds)} s simulated in {report.wall_seconds:.1f} s")
     if position := report.rmse.position:
         units = units_text(report.units)
-        joints = ", ".join(f"{name} {position[name]:.4g}" for name in report.joints)
-        terminal.say(f"{position['overall']:.4g} {units} RMS from the {measured}: {joints}")
+        joints = ", ".join(f"{name} {short_number(position[name])}" for name in report.joints)
+        terminal.say(f"{short_number(position['overall'])} {units} RMS from the {measured}: {joints}")
     terminal.notices(report.notices)
     terminal.say(f"written: {report.file}")

@@ -17,15 +17,23 @@ def number(x: float | None, digits: int = 3) -> str:
     return f"{x:.{max(digits - 1 - size, 0)}f}" if -5 < size < 6 else f"{x:.{digits - 1}e}"
 
 
+def short_number(x: float | None, digits: int = 3) -> str:
+    """A figure to at most so many digits, without zeros at the end of its decimals: of limits, rates and times."""
+    text = number(x, digits)
+    if "." not in text or "e" in text:
+        return text
+    return text.rstrip("0").rstrip(".")
+
+
 def with_error(x: float | None, error: float | None, digits: int = 2) -> tuple[str, str]:
     """A figure and its standard error, to so many digits of the error."""
     if x is None:
         return "–", ""
     if error is None or not math.isfinite(error):
-        return number(x, 4), "not determined"
+        return number(x), "not determined"
     size = math.floor(math.log10(error)) if error else -9
     if not -9 < size < 6:
-        return number(x, 4), number(error, digits)
+        return number(x), number(error, digits)
     decimals = max(digits - 1 - size, 0)
     return f"{x:.{decimals}f}", f"{error:.{decimals}f}"
 
@@ -50,7 +58,7 @@ def range_text(low: float | None, high: float | None) -> str:
 
 
 def parameter_text(
-    name: str, value: Any, error: Any = None, unit: str | None = None, digits: int = 4, error_digits: int = 2
+    name: str, value: Any, error: Any = None, unit: str | None = None, digits: int = 3, error_digits: int = 2
 ) -> str:
     """A parameter with its standard error and unit.
 

@@ -71,8 +71,9 @@ def parse_yaml(path: Path, data: bytes, *, as_text: bool = False) -> Any:
         ) from None
     except ConfigError:
         raise
-    except Exception as error:  # the parser has no error of its own for a tag that does not fit its value
-        raise ConfigError(path, f"is not YAML: {error}; write plain values in UTF-8") from None
+    except Exception:  # the parser has no error of its own for a tag that does not fit its value
+        what = "is not YAML: it has bytes that are no UTF-8 text, or a value that does not fit its type"
+        raise ConfigError(path, f"{what}; write plain values in UTF-8") from None
 
 
 def _check_nodes(path: Path, root: yaml.Node, longest: int) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import count_text, is_url, join_names, printable, stem
+from idtool.common.number_text import short_number
 from idtool.data.logs.bag import METADATA
 from idtool.data.logs.log import JointLog
 
@@ -138,7 +139,10 @@ def align(measured: JointLog, simulated: JointLog, joints: Sequence[str]) -> Log
     duration = measured.duration
     simulated_duration = simulated.duration
     if min(duration, simulated_duration) < _MIN_OVERLAP * max(duration, simulated_duration):
-        what = f"lasts {simulated_duration:.3g} s, and {printable(measured.path.name)} lasts {duration:.3g} s"
+        what = (
+            f"lasts {short_number(simulated_duration)} s, and {printable(measured.path.name)} lasts "
+            f"{short_number(duration)} s"
+        )
         raise LogError(simulated.path, f"{what}; play the same commands in the simulator")
     offset = _offset(measured, simulated, joints)
     t = measured.t - measured.start

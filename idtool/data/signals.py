@@ -23,6 +23,7 @@ from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.base_sensors import BaseSensors
 from idtool.data.batches import Batches, BatchSpan
 from idtool.data.channels import Channels
@@ -313,14 +314,16 @@ class Signals:
             self.notices.append(replace(notice, message=f"{notice.message}: {join_names(names)}"))
 
     def _note_velocity_errors(self) -> None:
-        lag = float(np.where(self.velocity_from_position, 0.0, np.abs(self.lag)).max())
-        if lag > _MIN_LAG * self.log.dt:
-            message = f"the measured velocity lags by up to {lag * 1e3:.1f} ms; idtool corrects it"
-            self.notices.append(Notice("velocity_lag", "note", None, message))
+        lags = np.where(self.velocity_from_position, 0.0, self.lag)
+        for relation, largest in (("lags behind", float(lags.max())), ("leads", float(-lags.min()))):
+            if largest > _MIN_LAG * self.log.dt:
+                message = f"the measured velocity {relation} the position by up to {largest * 1e3:.1f} ms"
+                self.notices.append(Notice("velocity_lag", "note", None, f"{message}; idtool corrects it"))
         if self.channels.bias.any():
             bias = float(np.abs(self.channels.bias).max())
             message = (
-                f"the measured velocity is off by up to {bias:.2g} rad/s (m/s) on average; this offset is corrected"
+                f"the measured velocity is off by up to {short_number(bias, 2)} rad/s (m/s) on average; this "
+                "offset is corrected"
             )
             self._note(Notice("velocity_bias", "note", None, message), self.channels.bias != 0)
 
@@ -547,9 +550,11 @@ def _band(log: JointLog, config: Config) -> float:
     if band >= 0.45 * rate:
         unit = suspected_unit(log.dt, log.segments, log.signals)
         times = f"; its times seem to be in {unit}, not in s" if unit else ""
-        raise ConfigError("filter.cutoff_hz", f"{band:g} Hz is too high for {log.path} sampled at {rate:.4g} Hz{times}")
+        raise ConfigError(
+            "filter.cutoff_hz", f"{band:g} Hz is too high for {log.path} sampled at {short_number(rate, 4)} Hz{times}"
+        )
     if band * duration < 1:
-        what = f"lasts {duration:.3g} s, less than a period of the {band:g} Hz filter"
+        what = f"lasts {short_number(duration)} s, less than a period of the {band:g} Hz filter"
         raise LogError(log.path, f"{what}; log for longer, or set a higher filter.cutoff_hz")
     return band
 

@@ -18,7 +18,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import capitalized, join_names
 from idtool.common.notice import Notice
-from idtool.common.number_text import parameter_text
+from idtool.common.number_text import parameter_text, short_number
 from idtool.common.units import position_units, units_text
 from idtool.data.inspection import inspect_log
 from idtool.data.pairing import LogPair, align
@@ -462,8 +462,8 @@ def _unexplained_notices(simulator: Diagnosis) -> Iterator[Notice]:
     last = simulator.last
     for name in _unexplained_joints(simulator):
         unit = last.experiment.model.units[name]
-        error = f"the error is {simulator.after.torque[name]:.3g} {unit} RMS"
-        torque = f"the torque {last.evaluation.torque_std[name]:.3g} {unit}"
+        error = f"the error is {short_number(simulator.after.torque[name])} {unit} RMS"
+        torque = f"the torque {short_number(last.evaluation.torque_std[name])} {unit}"
         message = f"the URDF's bodies do not explain the simulator's torque: {error}, {torque}"
         yield Notice("simulator_unexplained", "warning", name, message, _CHECK_SIMULATOR)
 
@@ -484,8 +484,8 @@ def _unexplained_gap(before: GapLevel, robot: Diagnosis) -> Obstacle | None:
 def _difference(pair: LogPair, units: Mapping[str, str]) -> str:
     """Difference of the positions in two logs, as a clause; by the unit of each joint's torque."""
     unit = units_text(position_units(units))
-    difference = f"the positions differ by {pair.position['overall']:.3g} {unit} RMS"
-    return f"{difference}, and the robot moves by {pair.motion['overall']:.3g} {unit} RMS"
+    difference = f"the positions differ by {short_number(pair.position['overall'])} {unit} RMS"
+    return f"{difference}, and the robot moves by {short_number(pair.motion['overall'])} {unit} RMS"
 
 
 def _pair_notices(pairs: Sequence[LogPair], units: Mapping[str, str]) -> Iterator[Notice]:

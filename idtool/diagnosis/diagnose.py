@@ -12,6 +12,7 @@ import numpy as np
 
 from idtool.common.names import join_names
 from idtool.common.notice import Notice, unique
+from idtool.common.number_text import short_number
 from idtool.common.processes import Background
 from idtool.diagnosis.confirmation import estimate_on_parts
 from idtool.diagnosis.data_faults import find_data_faults
@@ -431,7 +432,7 @@ def _search_notices(search: EffectSearch) -> Iterator[Notice]:
     if search.reversal_joints:
         sizes = []
         for name, (rms, rms_away) in search.reversal_joints.items():
-            sizes.append(f"{name} ({rms:.3g} RMS with these samples, {rms_away:.3g} without)")
+            sizes.append(f"{name} ({short_number(rms)} RMS with these samples, {short_number(rms_away)} without)")
         message = (
             f"within {1e3 * REVERSAL_MARGIN:.0f} ms of reversals, friction does not follow Coulomb's law on "
             f"{', '.join(sizes)}, as if a simulator smoothed the friction; these samples were excluded in the last "

@@ -324,7 +324,7 @@ def _estimate(experiment: Experiment, reduction: Reduction, noise: Array) -> Est
     """Estimate of the coefficients as configured, the joints weighted by their noise, shape (nv,)."""
     config = experiment.config
     bodies = experiment.model.bodies
-    sets, _ = choose_sets(bodies, config.constraints)
+    sets = choose_sets(bodies, config.constraints)
     return estimate(
         experiment.equation,
         bodies,

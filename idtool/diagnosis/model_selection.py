@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.number_text import short_number
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.records import Candidate
 from idtool.diagnosis.screen import ScreenedProbe, screen_probes, sum_standard_error
@@ -428,4 +429,4 @@ def _joint_count(probe: Probe, base: LinearizedFit) -> int:
 def _percentage(share: float) -> str:
     """A share as a percentage, without an exponent."""
     percentage = 100 * share
-    return f"{percentage:.0f}" if percentage >= 10 else f"{percentage:.2g}"
+    return f"{percentage:.0f}" if percentage >= 10 else short_number(percentage, 2)

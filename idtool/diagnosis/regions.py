@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
-from idtool.common.number_text import number, range_text
+from idtool.common.number_text import number, range_text, short_number
 from idtool.diagnosis.residual_series import ResidualSeries
 from idtool.diagnosis.spectra import angle_spectrum, masked_power_density
 
@@ -312,7 +312,7 @@ def _angle_region(residual: JointResidual, valid: Mask, total: float) -> Iterato
     peak = int(np.argmax(np.where(is_ripple, amplitude, 0.0)))
     turn = "per 2π m" if residual.is_prismatic[j] else "per turn"
     score = min(amplitude[peak] ** 2 / 2 / total, 1.0)
-    count = f"{n[peak]:.3g}"
+    count = short_number(n[peak])
     periods = "period" if count == "1" else "periods"
     yield Region(score, "angle", f"at {count} {periods} {turn}{residual.suffix}", valid)
 

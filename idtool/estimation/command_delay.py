@@ -24,6 +24,7 @@ from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import least_squares, svd
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.controller import MAX_DELAY
 from idtool.data.signals import Batch, Signals
 from idtool.dynamics.effects import friction_types
@@ -101,7 +102,7 @@ class CommandDelay:
         fitted = _milliseconds(self.value, self.standard_error)
         text = f"{fitted} from command to torque (fitted)"
         if self.given is not None:
-            given = f"{1e3 * self.given.value:.3g} ms"
+            given = f"{short_number(1e3 * self.given.value)} ms"
             text = f"{given} from command to torque (given); the value fitted to the data is {fitted}"
         if self.correlation < _CONFOUNDED:
             return text
@@ -125,9 +126,15 @@ class CommandDelay:
         if self.contradicted and self.given is not None:
             fitted = _milliseconds(self.value, self.standard_error)
             before, after = self.viscous
-            difference = f"{1e3 * self.given.value:.3g} ms is given, but the value fitted to the data is {fitted}"
+            difference = (
+                f"{short_number(1e3 * self.given.value)} ms is given, but the value fitted to the data is {fitted}"
+            )
             change = f"the fitted delay reduces the torque error by {100 * self.gain:.1f} %"
-            friction = f" and changes mean viscous friction from {before:.2g} to {after:.2g}" if before or after else ""
+            friction = (
+                f" and changes mean viscous friction from {short_number(before, 2)} to {short_number(after, 2)}"
+                if before or after
+                else ""
+            )
             message = f"{difference}; {change}{friction}"
             return (
                 Notice(

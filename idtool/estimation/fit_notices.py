@@ -10,6 +10,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import number, short_number
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.evaluation.torque_errors import Evaluation, overall_rms
 from idtool.estimation.problem.estimate import Estimate, stuck_note, unfinished_note
@@ -97,18 +98,19 @@ def _realizability_notices(experiment: Experiment, identified: EstimateWithPrior
 def _mass_notices(experiment: Experiment, identified: EstimateWithPrior) -> Iterator[Notice]:
     """Masses that differ from the prior's by more than is plausible."""
     measured = experiment.config.known.total_mass
-    advice = "" if measured else "weigh the robot and give known.total_mass"
+    weighed = "the robot" if experiment.model.has_floating_base else "the moving parts"
+    advice = "" if measured else f"weigh {weighed} and set known.total_mass"
     prior = sum(float(body.pi[0]) for body in identified.prior)
     total = sum(float(pi[0]) for _, pi in _bodies(identified))
     if measured is None and prior > 0 and not 1 - _TOTAL_MASS_CHANGE < total / prior < 1 + _TOTAL_MASS_CHANGE:
-        message = f"the total mass is {total:.3g} kg, but {prior:.3g} kg in the prior"
+        message = f"the total mass of the bodies is {number(total)} kg, but {number(prior)} kg in the prior"
         if experiment.has_only_joints:
             message = f"{message}; logs seldom determine it"
         yield Notice("total_mass_changed", "warning", None, message, advice)
     changes = {}
     for body, pi in _bodies(identified):
         if body.pi[0] > 0 and not 1 / _MASS_RATIO < pi[0] / body.pi[0] < _MASS_RATIO:
-            changes[body.name] = f"{pi[0]:.3g} kg instead of {body.pi[0]:.3g}"
+            changes[body.name] = f"{short_number(pi[0])} kg instead of {short_number(body.pi[0])}"
     if changes:
         masses = " and ".join(list(changes.values())[:2])
         message = (
@@ -175,10 +177,10 @@ def _error_notices(
     prior = evaluation.errors["prior"].rms(joints)["overall"]
     spread = overall_rms(std for name, std in evaluation.torque_std.items() if not np.isnan(rms[name]))
     if prior > _ABSURD * spread > 0 and identified.prior is experiment.model.bodies:
-        message = f"the prior's torque error, {prior:.3g}, is {prior / spread:.0f} times the measured torque"
+        message = f"the prior's torque error, {short_number(prior)}, is {prior / spread:.0f} times the measured torque"
         advice = "a unit in the URDF or the configuration may be wrong"
         yield Notice("prior_error_large", "warning", None, message, advice)
     if held_out and own > _MAX_RATIO_TO_PRIOR * prior:
-        errors = f"error {own:.3g} instead of {prior:.3g}"
+        errors = f"error {short_number(own)} instead of {short_number(prior)}"
         message = f"the identified model predicts the held-out data worse than the URDF does ({errors})"
         yield Notice("worse_than_prior", "problem", None, message)

@@ -10,6 +10,7 @@ from typing import Literal
 from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
@@ -22,6 +23,8 @@ from idtool.estimation.problem.regularization_path import RegularizationPath, as
 from idtool.estimation.two_stage import TwoStage, two_stage_estimate
 from idtool.robot.body import Body
 from idtool.robot.config import Regularization
+from idtool.robot.geometry import links_with_geometry
+from idtool.robot.model import RobotModel
 from idtool.robot.sets import ConstraintSet, choose_set
 
 Method = Literal["ls", "iv"]
@@ -105,7 +108,8 @@ def estimate_from_logs(
     set_name = config.constraints
     if set_name is None and config.solver.name in LOCAL:
         set_name = "full"  # the only one that a local solver knows
-    sets, notices = choose_sets(experiment.model.bodies, set_name)
+    sets = choose_sets(experiment.model.bodies, set_name)
+    notices = bounds_notices(experiment.model, sets, set_name)
     noise = free_noise(experiment.equation, reduction, experiment.equalities)
     rows = weighted_rows(experiment.equation, reduction, noise)
     experiment, path, prior_notices = _with_prior(experiment, data, reduction, sets, noise, rows, progress)
@@ -174,29 +178,43 @@ def _with_prior(
             regularization = regularization.with_weight(path.weight)
         except SolverError:  # if it is infeasible, the fit itself says so, with the place in the configuration
             regularization = regularization.with_weight(assumed_weight(reduction))
-            message = f"the weight could not be chosen from the data; {regularization.numeric_weight:.1g} is assumed"
+            message = (
+                "the weight could not be chosen from the data; "
+                f"{short_number(regularization.numeric_weight, 1)} is assumed"
+            )
             notices.append(Notice("prior_weight_assumed", "warning", "regularization.weight", message))
     config = experiment.config.model_copy(update={"regularization": regularization})
     return replace(experiment, config=config), path, notices
 
 
-def choose_sets(bodies: Sequence[Body], name: str | None) -> tuple[tuple[ConstraintSet, ...], list[Notice]]:
-    """The constraint set of each body: the one asked for, by default the tightest that its bounds allow.
+def choose_sets(bodies: Sequence[Body], name: str | None) -> tuple[ConstraintSet, ...]:
+    """The constraint set of each body: the one asked for, by default the tightest that its bounds allow."""
+    return tuple(choose_set(body, name) for body in bodies)
 
-    Returns
-    -------
-    One set per body, and a notice about bodies that lack their bounds.
+
+def bounds_notices(model: RobotModel, sets: Sequence[ConstraintSet], name: str | None) -> list[Notice]:
+    """Notice about bodies that lack the bounds of their constraint set.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    sets
+        The constraint set of each body.
+    name
+        The one that was asked for; None: the tightest that each body's bounds allow.
     """
-    sets = tuple(choose_set(body, name) for body in bodies)
     lacking = []
-    for body, chosen in zip(bodies, sets, strict=True):
+    for body, chosen in zip(model.bodies, sets, strict=True):
         if (chosen.name != name) if name else not body.bounds:
-            lacking.append(body.name)
+            lacking.append(body)
     if not lacking:
-        return sets, []
+        return []
     bounds = {"known_com": "known centre of mass", "shape": "bounding shape"}.get(name or "", "bounding ellipsoid")
-    message = (
-        f"these bodies have no {bounds}, so only full physical consistency is required of them: {', '.join(lacking)}"
-    )
-    advice = "add the missing bounds to the configuration; idtool ellipsoids computes bounding ellipsoids"
-    return sets, [Notice("bodies_without_bounds", "warning", None, message, advice)]
+    names = ", ".join(body.name for body in lacking)
+    message = f"these bodies have no {bounds}, so only full physical consistency is required of them: {names}"
+    advice = "add the missing bounds to the configuration"
+    links = [member.link for body in lacking if body.kind == "link" for member in body.members]
+    if bounds == "bounding ellipsoid" and links_with_geometry(model.robot).intersection(links):
+        advice += "; idtool ellipsoids computes bounding ellipsoids of links from their geometry"
+    return [Notice("bodies_without_bounds", "warning", None, message, advice)]

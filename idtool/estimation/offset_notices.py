@@ -10,6 +10,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.estimation.dataset.experiment import Experiment, Run
 from idtool.estimation.dataset.sensor_offsets import has_offset, offset_rows
 from idtool.estimation.evaluation.torque_errors import Evaluation
@@ -90,4 +91,4 @@ def _largest_text(changes: list[Array], theta: Array, uncertainty: Uncertainty) 
         return ""
     force = max(_force(rows, theta) for rows in changes)
     moment = max(float(np.linalg.norm(rows[3:] @ theta)) for rows in changes)
-    return f"{force:.2g} N and {moment:.2g} N·m"
+    return f"{short_number(force, 2)} N and {short_number(moment, 2)} N·m"

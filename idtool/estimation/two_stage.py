@@ -25,6 +25,7 @@ from idtool.common.arrays import Array
 from idtool.common.linear_algebra import svd
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress
@@ -258,7 +259,7 @@ def _notices(made: Sequence[Instruments], weak: Sequence[str], change: float) ->
     if smoothed:
         message = (
             "not every joint has a command and a controller, so the instruments are the measured motion below "
-            f"{np.max(smoothed):.3g} Hz: its remaining noise still biases the parameters"
+            f"{short_number(np.max(smoothed))} Hz: its remaining noise still biases the parameters"
         )
         notices.append(Notice("instruments_from_motion", "note", None, message))
     if weak:
@@ -266,7 +267,8 @@ def _notices(made: Sequence[Instruments], weak: Sequence[str], change: float) ->
         notices.append(Notice("weak_instruments", "warning", None, message))
     if change > _NOT_CONVERGED:
         message = (
-            f"the instruments have not converged: the last iteration changed the torque by {change:.2g} of its noise"
+            "the instruments have not converged: the last iteration changed the torque by "
+            f"{short_number(change, 2)} of its noise"
         )
         notices.append(Notice("instruments_not_settled", "warning", None, message))
     return tuple(notices)

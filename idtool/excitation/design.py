@@ -19,6 +19,7 @@ from scipy.optimize import minimize
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import suggestion
+from idtool.common.number_text import short_number
 from idtool.data.logs import JointLog, make_log
 from idtool.data.signals import Signals, default_cutoff
 from idtool.estimation.dataset.experiment import Progress
@@ -313,7 +314,7 @@ def friction_segments(
     remaining = options.duration - sum(segment.pattern.duration for segment in segments)
     if remaining < _MIN_DURATION:
         raise ConfigError(
-            "--duration", f"leaves {remaining:.3g} s for the motion; give at least {_MIN_DURATION:g} s more"
+            "--duration", f"leaves {short_number(remaining)} s for the motion; give at least {_MIN_DURATION:g} s more"
         )
     return tuple(segments), remaining
 

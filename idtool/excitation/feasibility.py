@@ -12,6 +12,7 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import join_names, suggestion
+from idtool.common.number_text import short_number
 from idtool.excitation.limits import QUANTITIES
 from idtool.excitation.patterns import MotionSamples, Trajectory, TrajectorySegment
 from idtool.excitation.task import DesignTask
@@ -59,7 +60,9 @@ def home_pose(task: DesignTask, start: Mapping[str, float], rng: np.random.Gener
     for name, x, lower, upper in zip(limits.joints, home, limits.lower, limits.upper, strict=True):
         if not lower < x < upper:
             raise ConfigError(
-                "--start", f"{name} = {x:g} is not between {lower:.4g} and {upper:.4g}, the limits with the margin"
+                "--start",
+                f"{name} = {x:g} is not between {short_number(lower, 4)} and {short_number(upper, 4)}, the "
+                "limits with the margin",
             )
 
     # Candidates spread more and more around the middle.
@@ -87,7 +90,7 @@ def home_pose(task: DesignTask, start: Mapping[str, float], rng: np.random.Gener
     best = int(np.argmax(np.where(is_static, clearance, -np.inf)))
     (one, other), distance, _ = task.collision.nearest(poses[:, [best]])
     what = (
-        f"links {one} and {other} are {1000 * distance:.3g} mm apart at the start, but "
+        f"links {one} and {other} are {short_number(1000 * distance)} mm apart at the start, but "
         f"{1000 * task.clearance:g} mm are required"
     )
     raise ModelError(where, f"{what}; give another --start, or a smaller --clearance")

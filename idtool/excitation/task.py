@@ -13,6 +13,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import suggestion
+from idtool.common.number_text import short_number
 from idtool.data.filters import LowPass
 from idtool.data.signals import Motion, default_cutoff
 from idtool.dynamics.regressor import LinearModel
@@ -204,5 +205,5 @@ def _scales(
         rms = np.sqrt(np.square(block[:-1]).mean(axis=1))
         magnitude = np.divide(TYPICAL_TORQUE * sigma, rms, where=rms > 0, out=0 * rms)
         typical[active] = np.maximum(typical[active], magnitude)
-    assumed = [f"{name} {x:.3g}" for name, x in zip(model.names, noise, strict=True) if name not in given]
+    assumed = [f"{name} {short_number(x)}" for name, x in zip(model.names, noise, strict=True) if name not in given]
     return noise, np.where(typical > 0, typical, 1.0), tuple(assumed)

@@ -13,6 +13,7 @@ from idtool.dynamics.effects import effect_from_entry
 from idtool.estimation.dataset.kinematic_checks import KINEMATIC_FAULTS
 from idtool.reporting.comparison_report import comparison_report
 from idtool.reporting.diagnosis_text import next_steps, summary
+from idtool.reporting.diagnosis_verdict import diagnosis_reasons
 from idtool.reporting.fit_report import fit_report, parameter_units
 from idtool.reporting.results.base import Source, notice_fields, plain_data
 from idtool.reporting.results.diagnosis import (
@@ -29,6 +30,7 @@ from idtool.reporting.results.diagnosis import (
     ResidualMaps,
     StepReport,
 )
+from idtool.reporting.verdict import worst_level
 from idtool.robot.model import RobotModel
 
 _MIN_RELATIVE_GAP = 0.05  # of the error before: a gap to the noise floor that is smaller than this is none
@@ -47,7 +49,8 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str, comparison: Comparison 
     comparison
         The comparison with the simulator that the diagnosis is part of; None: there is none.
     """
-    model = fit_report(diagnosis.last)
+    floor = plain_data(diagnosis.floor) if diagnosis.is_floor_known else None
+    model = fit_report(diagnosis.last, noise_floor=floor)
     faults = {fault.code for fault in diagnosis.faults}
     warnings = [notice for notice in diagnosis.last.notices if notice.code not in faults.intersection(KINEMATIC_FAULTS)]
     warnings += [*diagnosis.notices, *(comparison.notices if comparison else ())]
@@ -60,11 +63,13 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str, comparison: Comparison 
         units=model.units,
         inertia=inertia,
         verdict=diagnosis.verdict,
+        model_verdict=model.verdict,
+        verdict_reasons=model.verdict_reasons,
         searched=diagnosis.searched,
         stopped=diagnosis.stopped,
         before=_level(diagnosis.before),
         after=_level(diagnosis.after),
-        noise_floor=plain_data(diagnosis.floor) if diagnosis.is_floor_known else dict.fromkeys(diagnosis.floor),
+        noise_floor=floor or dict.fromkeys(diagnosis.floor),
         gap_closed=_gap_closed(diagnosis),
         rollout_worse=_worse_rollouts(diagnosis.before, diagnosis.after),
         steps=[_step(step, diagnosis.last.experiment.model) for step in diagnosis.steps],
@@ -89,7 +94,9 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str, comparison: Comparison 
         summary="",
         next=(),
     )
-    report = report.model_copy(update={"summary": summary(report)})  # of the robot's logs by themselves
+    reasons = diagnosis_reasons(report, model.verdict_reasons, diagnosis.faults)
+    verdict = {"model_verdict": worst_level(reasons), "verdict_reasons": reasons}
+    report = report.model_copy(update={"summary": summary(report), **verdict})  # of the robot's logs by themselves
     if comparison and comparison.obstacle and report.verdict in ("explained", "no_disagreement"):
         report = report.model_copy(update={"verdict": "partly_explained"})
     return report.model_copy(update={"next": tuple(next_steps(report))})

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         AgainstReport,
         CandidateReport,
         ChangeReport,
+        DataFault,
         DiagnosisReport,
         ErrorLevel,
         StepReport,
@@ -30,6 +31,7 @@ UNKNOWN = "unknown"
 RESIDUAL_MAPS = "the residual maps in diagnosis.html"  # which the page links to
 
 _ONLY_BY_RECORDING = ("dropped_samples", "time_jitter")  # faults that cannot be corrected in a log
+_ONLY_BY_RECORDING_ALL = ("stale",)  # the same, if they are of all joints at once
 
 
 def effect_name(effect: str) -> str:
@@ -53,58 +55,89 @@ def owner_name(effect: EffectReport | CandidateReport | ChangeReport) -> str:
 
 
 def summary(report: DiagnosisReport) -> str:
-    """The verdict in a sentence or two.
+    """The verdict in a few sentences.
 
     Parameters
     ----------
     report
         The content of diagnosis.json.
     """
-    known_steps = [step for step in report.steps if step.effect != UNKNOWN]
-    unknown = _join_words(owner_name(step) for step in report.steps if step.effect == UNKNOWN)
+    return " ".join([found_sentence(report), *remaining_sentences(report), *worse_motion_sentences(report)])
+
+
+def found_sentence(report: DiagnosisReport) -> str:
+    """The effects that were found, and how much of the disagreement they explain."""
+    known_steps = _known_steps(report)
+    unknown = _unknown_owners(report)
     unit = common_unit(report.units)
     which = "held-out" if report.before.validation else "training"
-    first = _overall(report.before)
-    last = _overall(report.after)
-    floor = _floor_words(report)
+    first = number(_overall(report.before))
+    last = number(_overall(report.after))
+    floor = None if report.noise_floor["overall"] is None else number(report.noise_floor["overall"])
+    floor_clause = "the noise floor is not known" if floor is None else f"the noise floor is {floor} {unit}"
     if report.verdict == "no_disagreement":
         return (
-            f"Model and data agree: the {which} torque error, {number(first)} {unit} RMS, cannot be distinguished from "
-            f"the noise floor, {number(report.noise_floor['overall'])} {unit}. Nothing was added."
+            f"Model and data agree: the {which} torque error, {first} {unit} RMS, cannot be distinguished from the "
+            f"noise floor, {floor} {unit}, and nothing was added."
         )
+    errors = f"the {which} torque error is {first} {unit} RMS, and {floor_clause}"
     if not known_steps:
-        errors = f"The {which} torque error is {number(first)} {unit} RMS, and {floor}."
         if report.stopped:
-            return f"The diagnosis is incomplete: {_outcome(report.stopped)} before an effect was found. {errors}"
+            return f"No effect was found: {errors}."
         if not unknown:  # and the noise floor is not known
-            return f"It is not known whether model and data agree. {errors}"
-        return f"Model and data disagree, and {_no_effect_explains(report)} the difference on {unknown}. {errors}"
+            return f"It is not known whether model and data agree: {errors}."
+        nothing = _no_effect_explains(report)
+        if first == floor:
+            return (
+                f"The {which} torque error, {first} {unit} RMS, is at the noise floor, but {nothing} the structure of "
+                f"the residual on {unknown}."
+            )
+        return f"Model and data disagree, and {nothing} the difference on {unknown}: {errors}."
     share = report.gap_closed["overall"]
-    closed = "" if share is None else f", so {100 * max(share, 0.0):.0f} % of the gap is closed"
-    rest = ""
-    if report.stopped:
-        rest += f" The diagnosis is incomplete: {_outcome(report.stopped)}, so more effects may be missing."
-    elif unknown:
-        rest += f" {capitalized(_no_effect_explains(report))} the remaining residual on {unknown}."
-    doubted = [_effect_on_owner(step) for step in known_steps if step.evidence.doubt]
-    rest += f" Doubtful: {_join_words(doubted)}; the notices give the reasons." if doubted else ""
-    if worse := [_effect_on_owner(step) for step in known_steps if worse_motion(step)]:
-        rest += f" The simulated motion gets worse with {_join_words(worse)}{_final_motion(report)}."
+    closed = f"; {floor_clause}"
+    if share is not None:
+        closed = f", which closes {100 * max(share, 0.0):.0f} % of the gap to the noise floor, {floor} {unit}"
+    doubted = [step for step in known_steps if step.evidence.doubt]
+    lacks = "may lack" if len(doubted) == len(known_steps) else "lacks"
     lacking = _join_words([_effect_or_rival(step) for step in known_steps])
     effects = "this effect" if len(known_steps) == 1 else "these effects"
-    lacks = "may lack" if len(doubted) == len(known_steps) else "lacks"
     return (
-        f"The model {lacks} {lacking}. With {effects}, the {which} torque error goes "
-        f"from {number(first)} to {number(last)} {unit} RMS. {capitalized(floor)}{closed}.{rest}"
+        f"The model {lacks} {lacking}: with {effects}, the {which} torque error goes from {first} to {last} {unit} "
+        f"RMS{closed}."
     )
 
 
-def _floor_words(report: DiagnosisReport) -> str:
-    """Clause about the noise floor."""
-    floor = report.noise_floor["overall"]
-    if floor is None:
-        return "the noise floor is not known"
-    return f"the noise floor is {number(floor)} {common_unit(report.units)}"
+def remaining_sentences(report: DiagnosisReport) -> list[str]:
+    """What the effects found do not explain, and which of them are doubtful."""
+    sentences = []
+    known_steps = _known_steps(report)
+    unknown = _unknown_owners(report)
+    if report.stopped:
+        more = ", so more effects may be missing" if known_steps else ""
+        sentences.append(f"The diagnosis is incomplete: {_outcome(report.stopped)}{more}.")
+    elif known_steps and unknown:
+        sentences.append(f"{capitalized(_no_effect_explains(report))} the remaining residual on {unknown}.")
+    doubted = [_effect_on_owner(step) for step in known_steps if step.evidence.doubt]
+    if doubted:
+        sentences.append(f"Doubtful: {_join_words(doubted)}; the notices give the reasons.")
+    return sentences
+
+
+def worse_motion_sentences(report: DiagnosisReport) -> list[str]:
+    """Steps after which the simulated motion is worse, in one sentence; empty if there are none."""
+    worse = [_effect_on_owner(step) for step in _known_steps(report) if worse_motion(step)]
+    if not worse:
+        return []
+    return [f"The simulated motion gets worse with {_join_words(worse)}{_final_motion(report)}."]
+
+
+def _known_steps(report: DiagnosisReport) -> list[StepReport]:
+    return [step for step in report.steps if step.effect != UNKNOWN]
+
+
+def _unknown_owners(report: DiagnosisReport) -> str:
+    """Joints with a residual that no effect explains."""
+    return _join_words(owner_name(step) for step in report.steps if step.effect == UNKNOWN)
 
 
 def _outcome(stopped: str) -> str:
@@ -208,6 +241,13 @@ def against_summary(report: AgainstReport, unit: str, floor: float | None, stopp
     )
 
 
+def is_correctable(fault: DataFault) -> bool:
+    """True if a fault must be corrected, and can be, in the log or in the configuration, without a new recording."""
+    if fault.undone or fault.fault in _ONLY_BY_RECORDING:
+        return False
+    return fault.joint is not None or fault.fault not in _ONLY_BY_RECORDING_ALL
+
+
 def next_steps(report: DiagnosisReport, folder: Path | None = None) -> list[str]:
     """Suggested next steps, one sentence each.
 
@@ -220,7 +260,7 @@ def next_steps(report: DiagnosisReport, folder: Path | None = None) -> list[str]
     """
     steps = []
     out = Path("OUT") if folder is None else folder
-    if any(not fault.undone and fault.fault not in _ONLY_BY_RECORDING for fault in report.data_faults):
+    if any(is_correctable(fault) for fault in report.data_faults):
         steps.append(
             "First correct the data, or describe them correctly in the configuration, and then diagnose again."
         )
@@ -230,8 +270,7 @@ def next_steps(report: DiagnosisReport, folder: Path | None = None) -> list[str]
             steps.append(f"{purpose}: {step.evidence.separate}")
     owners = [owner_name(step) for step in report.steps if step.effect == UNKNOWN]
     if owners and not report.stopped:
-        what = f"{_no_effect_explains(report)} the remaining residual on {_join_words(owners)}"
-        steps.append(f"{capitalized(what)}: see {RESIDUAL_MAPS}.")
+        steps.append(f"To find out what remains on {_join_words(owners)}, see {RESIDUAL_MAPS}.")
     if owners and report.inertia == "fixed" and report.against is None:
         steps.append("The inertia of the URDF was kept. If it may be wrong, diagnose with --inertia refit.")
     if report.against is not None and report.against.inconclusive:
@@ -242,9 +281,10 @@ def next_steps(report: DiagnosisReport, folder: Path | None = None) -> list[str]
             f"Make the changes in the simulator: `{command}` writes a copy of its MJCF or URDF with those that the "
             "file can represent."
         )
-    if "overall" in report.rollout_worse:
-        steps.append("Do not simulate with this model yet: its rollouts are worse than those of the original model.")
-    if report.verdict == "explained" and not steps:
+    if report.stopped:
+        steps.append("Diagnose again, and let the search finish.")
+    is_usable = "overall" not in report.rollout_worse and report.verdict in ("explained", "no_disagreement")
+    if is_usable and not steps:
         files = [str(out / "identified.urdf"), "LOG", "--config", str(out / "model.yaml")]
         command = shlex.join(["idtool", "validate", *files])
         steps.append(f"Check the final model on a log that was not used here: `{command}`.")

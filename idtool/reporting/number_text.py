@@ -17,11 +17,6 @@ def rows_by_unit(units: Mapping[str, str]) -> list[tuple[str, list[str]]]:
     return [*groups.items(), (f"mixed {' and '.join(groups)}", ["overall"])]
 
 
-def four_digits(x: float | None) -> str:
-    """A figure to four digits; a dash for none."""
-    return number(x, 4)
-
-
 def metres(x: float) -> str:
     """A length to a tenth of a millimetre."""
     return f"{round(x, 4) + 0:.4f}" if abs(x) < 1000 else number(x)

@@ -62,7 +62,7 @@ def why_not_simulated(rollouts: RolloutEvaluation | None, model: str, experiment
         return "a robot with contacts or a floating base is not simulated while forces act on it"
     if not experiment.runs:
         return "logs that were reduced are not simulated"
-    return "it was not simulated (leave out --quick and --no-simulation)"
+    return "it was not simulated, as with --quick or --no-simulation"
 
 
 def _horizons(

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.number_text import short_number
 from idtool.dynamics.effects.effect import Coefficient
 from idtool.estimation.fit import Fit
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
@@ -44,7 +45,7 @@ def combination_name(base: BaseParameters, i: int, coefficients: Sequence[Coeffi
     terms = combination(base, i, coefficients)
     name = ""
     for k, share in terms[:_MAX_NAME_TERMS]:
-        factor = "" if np.isclose(abs(share), 1) else f"{abs(share):.3g} "
+        factor = "" if np.isclose(abs(share), 1) else f"{short_number(abs(share))} "
         minus, plus = (" − ", " + ") if name else ("−", "")
         sign = minus if share < 0 else plus
         name += f"{sign}{factor}{coefficient_name(coefficients[k])}"
@@ -198,7 +199,7 @@ def _main_source_text(
         return "determined by the data"
     if source.information_source == "constraints":
         low, high = source.range
-        ends = f", {low:.3g} to {high:.3g}" if low is not None and high is not None else ""
+        ends = f", {short_number(low)} to {short_number(high)}" if low is not None and high is not None else ""
         return f"limited by the constraints{ends} ({100 * source.constraints:.0f} %)"
     if source.information_source == "combination":
         name = (

@@ -24,7 +24,7 @@ from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.robot.body import Frame
 from idtool.robot.geometry import link_geometry, link_vertices
-from idtool.robot.meshes import UnreadableGeometryError, numeric_attribute
+from idtool.robot.meshes import UnreadableGeometryError, numeric_attribute, size_attribute
 from idtool.robot.rotation import rotation_from_rpy
 from idtool.robot.urdf.reading import Robot, parse_xml
 
@@ -176,14 +176,14 @@ def _convex_part(robot: Robot, element: etree._Element, link: str, frame: Frame)
             raise UnreadableGeometryError(error.what.removesuffix("; give another file")) from None
         return _hull(link, points * numeric_attribute(geometry, "scale", 3, "1 1 1"), frame)
     if geometry.tag == "box":
-        size = np.abs(numeric_attribute(geometry, "size", 3))
+        size = size_attribute(geometry, "size", 3)
         return ConvexPart(link, coal.Box(*size), frame, float(np.linalg.norm(size)) / 2)
     if geometry.tag not in ("sphere", "cylinder", "capsule"):
         raise UnreadableGeometryError(f"{geometry.tag} is not a supported geometry")
-    radius = abs(float(numeric_attribute(geometry, "radius", 1)[0]))
+    radius = float(size_attribute(geometry, "radius", 1)[0])
     if geometry.tag == "sphere":
         return ConvexPart(link, coal.Sphere(radius), frame, radius)
-    length = abs(float(numeric_attribute(geometry, "length", 1)[0]))
+    length = float(size_attribute(geometry, "length", 1)[0])
     if geometry.tag == "cylinder":
         return ConvexPart(link, coal.Cylinder(radius, length), frame, math.hypot(radius, length / 2))
     return ConvexPart(link, coal.Capsule(radius, length), frame, radius + length / 2)

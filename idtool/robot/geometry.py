@@ -19,7 +19,14 @@ from lxml import etree
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ModelError
 from idtool.robot.convex import enclosing_points
-from idtool.robot.meshes import Mesh, UnreadableGeometryError, merge_meshes, numeric_attribute, read_mesh
+from idtool.robot.meshes import (
+    Mesh,
+    UnreadableGeometryError,
+    merge_meshes,
+    numeric_attribute,
+    read_mesh,
+    size_attribute,
+)
 from idtool.robot.rotation import rotation_from_rpy
 from idtool.robot.urdf.reading import Robot, parse_xml
 
@@ -48,6 +55,16 @@ class LinkGeometry:
     parts_read: tuple[str, ...]
     unreadable: tuple[str, ...]
     meshes: tuple[str, ...] = ()
+
+
+def links_with_geometry(robot: Robot) -> set[str]:
+    """Names of the links that have collision or visual geometry in the URDF, whether or not it can be read."""
+    names = set()
+    for link in parse_xml(robot.path, robot.text).iterfind("link"):
+        parts = [*link.iterfind("collision"), *link.iterfind("visual")]
+        if any(_geometry_element(part) is not None for part in parts):
+            names.add(str(link.get("name")))
+    return names
 
 
 def link_geometry(robot: Robot, link: str) -> LinkGeometry:
@@ -80,7 +97,7 @@ def link_sphere(robot: Robot, link: str) -> tuple[Array, float] | None:
         if len(spheres) == 1:
             own, part = spheres[0]
             with suppress(UnreadableGeometryError):
-                return _origin(own)[1], float(abs(numeric_attribute(part, "radius", 1)[0]))
+                return _origin(own)[1], float(size_attribute(part, "radius", 1)[0])
     return None
 
 
@@ -188,14 +205,14 @@ def _part_points(urdf: Path, part: etree._Element) -> Array:
     if part.tag == "mesh":
         return _mesh_points(urdf, part.get("filename", "")) * numeric_attribute(part, "scale", 3, default="1 1 1")
     if part.tag == "box":
-        return 0.5 * _cube_corners() * numeric_attribute(part, "size", 3)
+        return 0.5 * _cube_corners() * size_attribute(part, "size", 3)
     if part.tag not in ("sphere", "cylinder", "capsule"):
         raise UnreadableGeometryError(f"{part.tag} is not a supported geometry")
-    radius = abs(numeric_attribute(part, "radius", 1))
+    radius = size_attribute(part, "radius", 1)
     if part.tag == "sphere":
         return radius * _ball_points()
     end = radius * (_disc_points() if part.tag == "cylinder" else _ball_points())
-    offset = 0.5 * numeric_attribute(part, "length", 1) * np.array([0, 0, 1.0])
+    offset = 0.5 * size_attribute(part, "length", 1) * np.array([0, 0, 1.0])
     return np.concatenate([end + offset, end - offset])
 
 

@@ -141,6 +141,20 @@ def numeric_attribute(element: etree._Element, name: str, count: int, default: s
     return values
 
 
+def size_attribute(element: etree._Element, name: str, count: int) -> Array:
+    """The lengths in an attribute, shape (count,) [m].
+
+    Raises
+    ------
+    UnreadableGeometryError
+        If they are not so many finite numbers of 0 or more.
+    """
+    values = numeric_attribute(element, name, count)
+    if (values < 0).any():
+        raise UnreadableGeometryError(f"{element.tag} {name} '{element.get(name, '')[:40]}' is negative")
+    return values
+
+
 def merge_meshes(meshes: Iterable[Mesh]) -> Mesh:
     """Several meshes as one."""
     points = [np.empty((0, 3))]

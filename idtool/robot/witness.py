@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array
+from idtool.common.number_text import short_number
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inequality import REALIZABLE, Inequality
 from idtool.robot.inertia import J_BASIS, from_pseudo_inertia, mass_com_inertia, pseudo_inertia
@@ -192,13 +193,13 @@ def unrealizable_reasons(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> l
     if not np.isfinite(pi).all():
         return ["parameters are not finite"]
     if pi[0] <= 0:
-        return [f"mass is not positive: {pi[0]:.4g} kg"]
+        return [f"mass is not positive: {short_number(pi[0])} kg"]
     reasons = _principal_moment_reasons(_MassDistribution.from_parameters(pi))
     if ellipsoid is not None:
         factor = required_ellipsoid_scale(pi, ellipsoid)
         far = np.linalg.norm(ellipsoid.center) / min(ellipsoid.semi_axes)
         if factor**2 - 1 > _TOLERANCE + _ROUNDING * far**2:
-            reasons.append(f"{_mass_outside(factor, 'ellipsoid')} (Tr(JQ)/m = {1 - factor**2:.3g})")
+            reasons.append(f"{_mass_outside(factor, 'ellipsoid')} (Tr(JQ)/m = {short_number(1 - factor**2)})")
     return reasons
 
 
@@ -263,11 +264,11 @@ def _principal_moment_reasons(body: _MassDistribution) -> list[str]:
     moments = body.mass * (body.mu.sum() - body.mu)[::-1]
     negative = [i for i in range(3) if moments[i] < -body.mass * body.error]
     if negative:
-        return [f"principal moment I{i + 1} is negative: {moments[i]:.4g} kg·m²" for i in negative]
+        return [f"principal moment I{i + 1} is negative: {short_number(moments[i])} kg·m²" for i in negative]
     short = 100 * (1 - (moments[0] + moments[1]) / moments[2])
     digits = next(d for d in range(3, 18) if _shows_violation(moments, d))
     first, second, third = (f"{moment:.{digits}g}" for moment in moments)
-    return [f"I1 + I2 < I3: {first} + {second} < {third} kg·m² (by {short:.2g} %)"]
+    return [f"I1 + I2 < I3: {first} + {second} < {third} kg·m² (by {short_number(short, 2)} %)"]
 
 
 def _shows_violation(moments: Array, digits: int) -> bool:
@@ -278,7 +279,7 @@ def _shows_violation(moments: Array, digits: int) -> bool:
 
 def _mass_outside(factor: float, shape: str) -> str:
     """Message on the mass outside a shape that would have to grow by a factor."""
-    farther = f"{100 * (factor - 1):.3g} %"
+    farther = f"{short_number(100 * (factor - 1))} %"
     return f"some mass lies beyond its {shape}, at least {farther} farther from the centre than the surface"
 
 
@@ -292,8 +293,8 @@ def _violation_text(pi: Array, inequality: Inequality, amount: float) -> str:
         worst = int(np.argmin(mean))
         factor = _required_scale(Q[worst], float(mean[worst]))
         if factor is not None:
-            return f"{_mass_outside(factor, 'bounding shape')} (Tr(JQ)/m = {mean[worst]:.3g})"
-    return f"{inequality.label}: violated by {amount:.3g} in units of the body's mass and length"
+            return f"{_mass_outside(factor, 'bounding shape')} (Tr(JQ)/m = {short_number(mean[worst])})"
+    return f"{inequality.label}: violated by {short_number(amount)} in units of the body's mass and length"
 
 
 def _required_scale(Q: Array, mean: float) -> float | None:

@@ -11,6 +11,7 @@ from typing import Any
 from idtool.common.exceptions import IdtoolError
 from idtool.common.names import join_names, printable
 from idtool.common.notice import unique
+from idtool.common.number_text import short_number
 from idtool.dynamics.effects import JointTerm, effect_types
 from idtool.estimation.dataset.experiment import Progress, prepare
 from idtool.estimation.dataset.wrench_sensor_sign import sensor_signs
@@ -273,7 +274,9 @@ def _findings(draft: Draft) -> list[str]:
         lines.append(f"topic {summary.topic}, out of {join_names(summary.topics)}")
     lines += _found_base(draft)
     if "filter" not in draft.given:
-        lines.append(f"motion below {summary.motion_hz:.2g} Hz, so filter.cutoff_hz is {summary.cutoff_hz:g}")
+        lines.append(
+            f"motion below {short_number(summary.motion_hz, 2)} Hz, so filter.cutoff_hz is {summary.cutoff_hz:g}"
+        )
     if draft.bounds.ellipsoids:
         lines.append(f"bounding ellipsoids of {join_names(draft.bounds.ellipsoids)}")
     if geared := [name for name, ratio in draft.ratios.items() if abs(ratio) != 1]:
@@ -308,7 +311,7 @@ def _kept_effects(results: TrialResults) -> Iterator[str]:
         elif kind.friction_key:
             friction.setdefault(effect, []).append(joint)
         else:
-            terms.setdefault(effect, []).append(f"{joint} {value:.3g}")
+            terms.setdefault(effect, []).append(f"{joint} {short_number(value)}")
     for effect, names in (friction | terms).items():
         yield f"{trial_of(effect).heading}: {join_names(names)}"
     yield from whole

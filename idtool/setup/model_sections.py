@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from idtool.common.names import join_names
+from idtool.common.number_text import short_number
 from idtool.dynamics.effects import effect_types
 from idtool.setup.bounds import search_paths
 from idtool.setup.draft import Draft
@@ -184,7 +185,7 @@ def known(draft: Draft) -> ConfigSection:
         "Masses that were measured by other means, kg; with a standard error they are soft constraints. Replace every "
         "null by a value."
     )
-    masses = [f"{link} {pi[0]:.4g}" for link in links if (pi := robot.links[link]) is not None]
+    masses = [f"{link} {short_number(pi[0])}" for link in links if (pi := robot.links[link]) is not None]
     prior = f"Masses in the URDF: {join_names(masses) or 'none'}."
     whole = (
         "total_mass: mass of all moving parts, including rotors; it is easy to measure, and the torque rarely "

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from idtool.common.names import join_names
+from idtool.common.number_text import short_number
 from idtool.data.base_sensors import POSE_CUTOFF
 from idtool.dynamics.effects import effect_types
 from idtool.robot.config import Config, Friction
@@ -51,7 +52,7 @@ def gravity(draft: Draft) -> ConfigSection | None:
 def log(draft: Draft) -> ConfigSection:
     """The section ``log``: the topic if there are several, the preset if there is one, and a template."""
     seen = draft.log_summary
-    rates = ", ".join(dict.fromkeys(f"{rate:.4g}" for rate in seen.rates_hz))
+    rates = ", ".join(dict.fromkeys(short_number(rate, 4) for rate in seen.rates_hz))
     comments = [f"How the logs are read. Their sampling rate is {rates} Hz, according to their time stamps (logs)."]
     value: dict[str, Any] = {}
     if seen.topic is not None:
@@ -93,7 +94,8 @@ def low_pass(draft: Draft) -> ConfigSection:
     seen = draft.log_summary
     what = (
         "One zero-phase low-pass for all signals. cutoff_hz: the motion lies below "
-        f"{seen.motion_hz:.2g} Hz (logs); the cut-off is {seen.bands:g} times this frequency, but at least 5 Hz, and "
+        f"{short_number(seen.motion_hz, 2)} Hz (logs); the cut-off is {seen.bands:g} times this frequency, "
+        "but at least 5 Hz, and "
         "not above 40 Hz or a fifth of the sampling rate. kind and order have their default values."
     )
     if seen.commanded:
@@ -132,10 +134,10 @@ def friction(draft: Draft) -> ConfigSection:
 
 def errors(trial: Trial) -> str:
     """Held-out error without and with the effect that was tried, in words."""
-    return " -> ".join("unknown" if x is None else f"{x:.3g}" for x in (trial.before, trial.after))
+    return " -> ".join("unknown" if x is None else short_number(x) for x in (trial.before, trial.after))
 
 
 def sized(draft: Draft, effect: str, joint: str, value: float) -> str:
     """The coefficient of an effect on a joint, with its unit."""
     revolute, prismatic = term_type(effect).units
-    return f"{value:.3g} {prismatic if draft.robot.joints[joint].kind == 'prismatic' else revolute}"
+    return f"{short_number(value)} {prismatic if draft.robot.joints[joint].kind == 'prismatic' else revolute}"

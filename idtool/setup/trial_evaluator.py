@@ -96,7 +96,7 @@ class TrialEvaluator:
         config = with_armature(config, model)
         equation = LinearModel(model.names, build_effects(model, config), contacts=self.experiment.equation.contacts)
         train = self._part(self.train, equation)
-        sets, _ = choose_sets(model.bodies, config.constraints)
+        sets = choose_sets(model.bodies, config.constraints)
         equalities = equality_constraints(config, model, equation)
         prior = prior_bodies(config, model, equation, train)
         solve = partial(estimate, prior.equation, prior.bodies, train, sets, equalities=equalities)

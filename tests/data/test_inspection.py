@@ -46,10 +46,13 @@ def test_a_clean_log_raises_no_finding(rate: float, joints: int) -> None:
     assert inspect(clean_signals(rate=rate, joints=joints)).findings == ()
 
 
-def test_a_log_without_noise_raises_no_warning() -> None:
-    assert {(f.severity, f.message.split(":")[0]) for f in inspect(clean_signals(noise=0.0)).findings} == {
-        ("note", "tau seems to be commanded")
-    }
+def test_a_torque_without_noise_may_come_from_a_sensor_and_a_filter() -> None:
+    inspection = inspect(clean_signals(noise=0.0))
+    assert inspection.findings == ()
+    source = inspection.joints[JOINTS[0]].torque
+    assert source
+    assert source.kind == "unknown"
+    assert source.reason == "it has no noise: it was computed, or a sensor's torque was smoothed"
 
 
 def test_fine_quantisation_jitter_and_rest_raise_no_warning() -> None:

@@ -77,7 +77,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "a missing one": (entry("end_stop", stiffness=1), "end_stop: needs the parameters stiffness, position; add posi"),
     "one of two lines": (entry("end_stop", **STOP, **{"a\nb": 1}), r"end_stop: has no parameter a\nb"),
     "a side that is none": (entry("end_stop", **STOP, side=0.5), "end_stop: side of 0.5 is out of range; give -1 or 1"),
-    "a word": (entry("end_stop", stiffness="hard", position=1), "end_stop: stiffness is not a number"),
+    "a word": (entry("end_stop", stiffness="hard", position=1), "end_stop: stiffness is not a number of possible size"),
     "a list": (entry("end_stop", stiffness=1, position=[1]), "end_stop: position is not a number"),
     "not finite": (entry("end_stop", stiffness=1, position=float("nan")), "end_stop: position is not a number"),
     "a spring that pushes": (

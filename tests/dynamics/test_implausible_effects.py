@@ -93,8 +93,8 @@ LIMITS: dict[str, list[tuple[dict[str, Any], str, float, bool, str, str]]] = {
             "mass",
             LINK + ROTOR,
             True,
-            "is more than that of all moving links and rotors of the URDF, 3.5 kg",
-            "a payload heavier than all moving links and rotors of the URDF",
+            "is more than that of all bodies of the model, 3.50 kg",
+            "a payload heavier than all bodies of the model",
         )
     ],
 }

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from leg_truth import TRUTH
 import idtool
 
 RIGHT = idtool.Log(TRAIN)
-HEAVY, WORSE, UNIT = "the total mass is", "worse than the URDF does", "times the measured torque"
+HEAVY, WORSE, UNIT = "the total mass of the bodies is", "worse than the URDF does", "times the measured torque"
 
 
 def said(config: Callable[[dict[str, Any]], None] = lambda data: None, quick: bool = True, **signals: Any) -> str:
@@ -91,3 +93,13 @@ def test_a_torque_of_zeros_beside_a_command_is_the_controllers() -> None:
     assert fits[0].rms.train == fits[1].rms.train
     assert fits[0].rms.train["overall"] < 0.2
     assert any("never changes" in warning for warning in fits[1].warnings)
+
+
+@pytest.mark.parametrize("has_geometry", [True, False])
+def test_ellipsoids_are_recommended_where_there_is_geometry(tmp_path: Path, has_geometry: bool) -> None:
+    text = LEG.read_text()
+    urdf = tmp_path / "leg.urdf"
+    urdf.write_text(text if has_geometry else re.sub(r"<visual>.*?</visual>", "", text, flags=re.DOTALL))
+    result = idtool.fit(idtool.Model(urdf, {}), TRAIN, quick=True)
+    (notice,) = [notice for notice in result.notices if notice.code == "bodies_without_bounds"]
+    assert ("idtool ellipsoids" in notice.advice) == has_geometry

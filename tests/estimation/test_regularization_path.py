@@ -62,7 +62,7 @@ def blocks_of(s: Synthetic, tau: Array, count: int) -> Blocks:
 
 def path_of(s: Synthetic, tau: Array, count: int = 20, **prior: Any) -> RegularizationPath:
     blocks = blocks_of(s, tau, count)
-    sets, _ = choose_sets(s.model.bodies, None)
+    sets = choose_sets(s.model.bodies, None)
     noise = free_noise(s.linear, blocks.total, s.equalities)
     regularization = Regularization.model_validate(prior)
     return regularization_path(s.linear, s.model.bodies, [blocks], sets, regularization, s.equalities, noise)

@@ -184,8 +184,10 @@ def test_there_is_no_gap_where_model_and_data_do_not_disagree(leg: tuple[Fit, Fi
     report = report_of(diagnosis_of(*leg))
     assert set(report["gap_closed"].values()) == {None}
     assert "Model and data agree" in report["summary"]
-    assert "Nothing was added" in report["summary"]
-    assert report["next"] == report["steps"] == []
+    assert "nothing was added" in report["summary"]
+    assert report["steps"] == []
+    assert [text[:21] for text in report["next"]] == ["Check the final model"]
+    assert report["verdict_reasons"][0]["level"] == "good"
 
 
 @pytest.mark.parametrize(
@@ -212,7 +214,9 @@ def test_rollouts_that_got_worse_while_torque_got_better(
     assert ("(worse)" in next(line for line in said(diagnosis).splitlines() if line.startswith("1 "))) == bool(worse)
     wanted = "The simulated motion gets worse with Stribeck friction on hip, and that of the final model is worse than"
     assert (wanted in report["summary"]) == bool(worse)
-    assert any("Do not simulate" in text for text in report["next"]) == bool(worse)
+    motion = [reason["text"] for reason in report["verdict_reasons"] if reason["about"] == "motion"]
+    assert motion[0].startswith("Do not simulate the model") == bool(worse)
+    assert (wanted in motion[-1]) == bool(worse)
 
 
 def motion(**errors: float) -> ErrorSummary:
@@ -264,14 +268,49 @@ def test_without_held_out_data_the_training_error_stands_in(found: Diagnosis) ->
 def test_the_verdict_in_words(found: Diagnosis) -> None:
     text = report_of(found)["summary"]
     assert text.startswith(
-        "The model lacks Stribeck friction on hip (or load-dependent friction on hip). With this effect, "
+        "The model lacks Stribeck friction on hip (or load-dependent friction on hip): with this effect, "
     )
-    assert "from 0.873 to 0.475 N·m RMS. The noise floor is 0.387 N·m, so 82 % of the gap is closed." in text
+    assert "from 0.873 to 0.475 N·m RMS, which closes 82 % of the gap to the noise floor, 0.387 N·m." in text
     partly = report_of(faulty(found))["summary"]
     assert partly.endswith("No known effect explains the remaining residual on knee.")
     alone = replace(faulty(found), steps=faulty(found).steps[-1:], after=found.before, verdict="unexplained")
     text = report_of(alone)["summary"]
-    assert text.startswith("Model and data disagree, and no known effect explains the difference on knee.")
+    assert text == (
+        "Model and data disagree, and no known effect explains the difference on knee: the held-out torque error is "
+        "0.873 N·m RMS, and the noise floor is 0.387 N·m."
+    )
+
+
+def test_nobody_is_told_of_a_difference_between_equal_figures(found: Diagnosis) -> None:
+    floor = dict(found.before.torque)
+    alone = replace(faulty(found), steps=faulty(found).steps[-1:], after=found.before, floor=floor)
+    assert report_of(replace(alone, verdict="unexplained"))["summary"] == (
+        "The held-out torque error, 0.873 N·m RMS, is at the noise floor, but no known effect explains the structure "
+        "of the residual on knee."
+    )
+
+
+def test_the_verdict_is_the_worst_of_its_reasons(found: Diagnosis) -> None:
+    report = report_of(found)
+    effects, *others = report["verdict_reasons"]
+    assert (effects["about"], effects["level"], effects["text"]) == ("effects", "good", report["summary"])
+    assert effects["figure"] == report["gap_closed"]["overall"]
+    assert [reason["about"] for reason in others] == ["torque", "motion", "bodies"]
+    lines = said(found).splitlines()
+    assert lines[0].startswith("Verdict: ")
+    assert lines[1] == f"✓ effects: {report['summary']}"
+    partly = report_of(replace(faulty(found), verdict="partly_explained"))
+    about = [(reason["about"], reason["level"]) for reason in partly["verdict_reasons"]]
+    assert about[:2] == [("effects", "torque_only")] * 2
+    assert partly["model_verdict"] != "good"
+
+
+def test_a_problem_of_the_data_is_said_once(found: Diagnosis) -> None:
+    wrong = Notice("wrong_sign", "problem", "hip", "v has the wrong sign", "set its scale to -1")
+    diagnosis = replace(found, faults=(wrong,))
+    assert report_of(diagnosis)["model_verdict"] == "do_not_use"
+    assert said(diagnosis).count("v has the wrong sign") == 1
+    assert "\n✗ data: hip: v has the wrong sign; set its scale to -1.\n" in said(diagnosis)
 
 
 def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
@@ -289,22 +328,25 @@ def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
     assert _verdict(loaded(0.99), is_floor_known=True, is_complete=True) == "explained"
     steps = with_doubts([*loaded(1.01), step_of()], model)
     assert [bool(step.doubt) for step in steps] == [True, True, False]
-    assert f"the payload on thigh_link and shank_link, {1.01 * moving:.3g} kg, is heavier than all" in steps[0].doubt
+    masses = f"{1.01 * moving:.3g} kg, is heavier than all bodies of the model, {moving:.2f} kg"
+    assert f"the payload on thigh_link and shank_link, {masses}" in steps[0].doubt
     assert _verdict(steps, is_floor_known=True, is_complete=True) == "partly_explained"
     report = report_of(replace(found, steps=tuple(steps[:1]), verdict="partly_explained"))
     assert report["steps"][0]["evidence"]["doubt"] == steps[0].doubt
     assert report["summary"].startswith("The model may lack a payload on thigh_link")
     certain_too = report_of(replace(found, steps=(steps[0], steps[2]), verdict="partly_explained"))
     assert certain_too["summary"].startswith("The model lacks a payload on thigh_link")
-    assert report["summary"].endswith(
-        "% of the gap is closed. Doubtful: a payload on thigh_link; the notices give the reasons."
-    )
+    assert report["summary"].endswith(" N·m. Doubtful: a payload on thigh_link; the notices give the reasons.")
 
 
 def test_nobody_is_told_to_correct_what_only_a_new_log_can(found: Diagnosis) -> None:
     jitter = Notice("time_jitter", "warning", None, "the time stamps are uneven")
-    (text,) = report_of(replace(found, faults=(jitter,), steps=(step_of(pair=False, alternatives=()),)))["next"]
+    stale = Notice("stale", "warning", None, "samples repeat the previous one in every joint")
+    step = step_of(pair=False, alternatives=())
+    (text,) = report_of(replace(found, faults=(jitter, stale), steps=(step,)))["next"]
     assert not text.startswith("First correct")
+    frozen = replace(stale, subject="hip")
+    assert report_of(replace(found, faults=(frozen,), steps=(step,)))["next"][0].startswith("First correct")
 
 
 def test_what_to_do_next(found: Diagnosis) -> None:
@@ -312,7 +354,7 @@ def test_what_to_do_next(found: Diagnosis) -> None:
     assert first.startswith("First correct the data")
     wanted = "To distinguish Stribeck friction on hip from load-dependent friction on hip: slow strokes of the hip"
     assert second.startswith(wanted)
-    assert third.startswith("No known effect explains the remaining residual on knee")
+    assert third == "To find out what remains on knee, see the residual maps in diagnosis.html."
     (text,) = report_of(replace(found, steps=(step_of(pair=False, alternatives=()),)))["next"]
     model = "`idtool validate OUT/identified.urdf LOG --config OUT/model.yaml`."
     assert text == f"Check the final model on a log that was not used here: {model}"
@@ -320,9 +362,9 @@ def test_what_to_do_next(found: Diagnosis) -> None:
 
 def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> None:
     lines = said(found).splitlines()
-    assert lines[0].startswith("The model lacks Stribeck friction on hip")
+    assert lines[1].startswith("✓ effects: The model lacks Stribeck friction on hip")
     (row,) = [line for line in lines if line.startswith("1 ")]
-    for cell in ("Stribeck friction", "hip", "stribeck 1.91 ± 0.20 N·m, velocity 0.1500 rad/s", "0.873 → 0.475"):
+    for cell in ("Stribeck friction", "hip", "stribeck 1.91 ± 0.20 N·m, velocity 0.150 rad/s", "0.873 → 0.475"):
         assert cell in row
     for cell in ("0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load-dependent friction on hip"):
         assert cell in row
@@ -334,10 +376,10 @@ def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> 
     assert lines[-1] == "written: out/diagnosis.json, diagnosis.html"
 
 
-def test_the_terminal_says_faults_first_and_shows_names_as_they_are(found: Diagnosis) -> None:
+def test_the_terminal_says_faults_before_the_steps_and_shows_names_as_they_are(found: Diagnosis) -> None:
     step = step_of(chosen=candidate("stribeck_friction", "[bold]hip[/bold]"), entry=STRIBECK)
     text = said(faulty(replace(found, steps=(step,))))
-    assert text.startswith(f"data fault: hip: velocity lag: {BEHIND}: {BEHIND}\nThe model lacks")
+    assert text.index("effects: The model lacks") < text.index(BEHIND) < text.index("Effects that the model lacks")
     assert "[bold]hip[/bold]" in next(line for line in text.splitlines() if line.startswith("1 "))
     assert f"\n{BEHIND}\n" in text
     assert f"warning: {BEHIND}" in text
@@ -526,13 +568,18 @@ def test_the_only_effect_searched_for_is_named(found: Diagnosis) -> None:
     left = replace(found, steps=(unknown_of(found.before),), searched=("quadratic_drag",), verdict="unexplained")
     report = diagnosis_report(left, "refit")
     clause = "the only effect searched for, quadratic drag, does not explain the "
-    assert f"and {clause}difference on knee." in report.summary
-    assert report.next[0].startswith(f"{clause[:1].upper()}{clause[1:]}remaining residual on knee")
+    assert f"and {clause}difference on knee: " in report.summary
 
 
 @pytest.mark.parametrize(
     ("score", "error", "text"),
-    [(0.64, 0.03, "64.0 ± 3.0 %"), (-0.0002, 0.0003, "0 %"), (-0.0002, 0.02, "0.0 ± 2.0 %"), (-0.0001, None, "0.0 %")],
+    [
+        (0.64, 0.03, "64.0 ± 3.0 %"),
+        (1.0, 0.21, "100 ± 21 %"),
+        (-0.0002, 0.0003, "0 %"),
+        (-0.0002, 0.02, "0.0 ± 2.0 %"),
+        (-0.0001, None, "0 %"),
+    ],
 )
 def test_a_score_is_never_minus_zero(score: float, error: float | None, text: str) -> None:
     assert score_text(score, error) == text

@@ -140,4 +140,4 @@ def test_what_was_not_simulated_is_good_for_torque_only(tmp_path: Path) -> None:
     result = package.fit(LEG, TRAIN, quick=True)
     assert result.verdict == "torque_only"
     assert result.noise_floor is None
-    assert "leave out --quick" in result.verdict_reasons[1].text
+    assert "as with --quick or --no-simulation" in result.verdict_reasons[1].text

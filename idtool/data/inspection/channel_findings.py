@@ -8,6 +8,7 @@ import numpy as np
 
 from idtool.common.names import count_text
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.inspection.records import FrozenStretches, InspectedJoint, Signal
 
 MAX_STUCK_SHARE = 0.005  # share of samples while moving: fewer may gather at a turning point
@@ -77,7 +78,7 @@ def channel_findings(
 def _constant(name: str, signal: str, figures: Signal) -> Iterator[Notice]:
     if figures.constant:
         instead = "set `velocity: differentiated`" if signal == "v" else "name the right column in `log.columns`"
-        value = f"{signal} is {figures.minimum + 0.0:.4g} throughout while q moves"  # 0, not -0
+        value = f"{signal} is {short_number(figures.minimum + 0.0)} throughout while q moves"  # 0, not -0
         yield Notice("stale", "problem", name, value, f"the channel was not recorded; {instead}")
 
 
@@ -100,7 +101,8 @@ def _clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator[Notice]:
     """A channel at its extremes. Whether the drive or the sensor cut the torque off is for the model to tell."""
     figures = joint.signals[signal]
     extremes = (
-        f"its extremes, {figures.minimum:.4g} and {figures.maximum:.4g}, in {100 * figures.stuck:.1f} % of the samples"
+        f"its extremes, {short_number(figures.minimum)} and {short_number(figures.maximum)}, in "
+        f"{100 * figures.stuck:.1f} % of the samples"
     )
     if signal == "tau":
         meaning = "larger values were cut off, which biases the fit; reduce the excitation, or raise the limit"
@@ -115,7 +117,7 @@ def _clipped(name: str, signal: str, joint: InspectedJoint) -> Iterator[Notice]:
 
 def _frozen(name: str, signal: str, frozen: FrozenStretches) -> Notice:
     extent = (
-        f"{signal} keeps one value for {frozen.seconds:.3g} s in total while the joint moves, first "
+        f"{signal} keeps one value for {short_number(frozen.seconds)} s in total while the joint moves, first "
         f"{frozen.start:.3f} s into the log"
     )
     return Notice("stale", "warning", name, extent, "the channel was frozen: remove these parts from the log")
@@ -131,7 +133,7 @@ def _coarse(name: str, signal: str, joint: InspectedJoint, dt: float) -> Iterato
             "v": "a fit differentiates q where that is less noisy; otherwise",
         }.get(signal, "use a larger excitation, or")
         consequence = f"{100 * noise:.0f} % (rms) of noise in the {disturbed}"
-        rounding = f"{signal} has a resolution of {step:.3g}, which causes {consequence}"
+        rounding = f"{signal} has a resolution of {short_number(step)}, which causes {consequence}"
         yield Notice(
             "coarse_channel",
             "warning",

@@ -13,6 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.base_sensors import ACCELEROMETER, GYROSCOPE, ORIENTATION
 from idtool.data.logs.log import JointLog
 from idtool.data.logs.sensor_channels import finite_samples, is_dead
@@ -53,16 +54,18 @@ def imu_findings(log: JointLog) -> Iterator[Notice]:
     mean = moving_mean(acceleration, samples)
     size = float(np.median(np.linalg.norm(mean, axis=0)))
     if abs(size * _GRAVITY - _GRAVITY) < _TOLERANCE * _GRAVITY:
-        message = f"the acceleration is {size:.3g} on average: it is in g, not in m/s²"
+        message = f"the acceleration is {short_number(size)} on average: it is in g, not in m/s²"
         yield Notice("imu_unit", "problem", "imu", message, "multiply it by 9.81 when you log it")
         return
     if size < _WITHOUT_GRAVITY * _GRAVITY:
-        message = f"the acceleration is {size:.3g} m/s² on average instead of 9.81: gravity was removed from it"
+        message = (
+            f"the acceleration is {short_number(size)} m/s² on average instead of 9.81: gravity was removed from it"
+        )
         advice = "log what the accelerometer measures, which includes gravity"
         yield Notice("imu_without_gravity", "problem", "imu", message, advice)
         return
     if abs(size - _GRAVITY) > _TOLERANCE * _GRAVITY:
-        message = f"the acceleration is {size:.3g} m/s² on average instead of 9.81"
+        message = f"the acceleration is {short_number(size)} m/s² on average instead of 9.81"
         yield Notice("imu_scale", "warning", "imu", message, "check the unit and the calibration of the accelerometer")
     if not all(name in channels and len(channels[name].t) for name in ORIENTATION):
         return
@@ -130,7 +133,7 @@ def _rate_findings(quaternions: Array, rates: Array, dt: float) -> Iterator[Noti
                 "imu_orientation", "problem", "imu", message, "log the orientation of the IMU, from link to world"
             )
         return
-    message = f"the angular velocity is {ratio:.3g} times the rate at which its orientation changes"
+    message = f"the angular velocity is {short_number(ratio)} times the rate at which its orientation changes"
     advice = "check its unit"
     if 1 / _MAX_UNIT_ERROR < ratio / _DEGREES < _MAX_UNIT_ERROR:
         message = f"{message}: it is in degrees per second, not in rad/s"

@@ -8,6 +8,7 @@ import numpy as np
 
 from idtool.common.names import count_text
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.inspection.records import FrozenStretches, InspectedJoint
 
 MAX_STANDSTILL = 0.5  # share of the time
@@ -43,13 +44,13 @@ def motion_findings(name: str, joint: InspectedJoint, frozen: FrozenStretches | 
         yield Notice("often_at_rest", "note", name, share, meaning)
     yield from _jumps(name, joint, frozen)
     if joint.band_hz is not None and joint.band_hz > MAX_RELATIVE_BAND / dt:
-        rate = f"the sampling rate is only {1 / dt:.4g} Hz"
-        band = f"99 % of the velocity's power lies below {joint.band_hz:.3g} Hz, but {rate}"
+        rate = f"the sampling rate is only {short_number(1 / dt, 4)} Hz"
+        band = f"99 % of the velocity's power lies below {short_number(joint.band_hz)} Hz, but {rate}"
         meaning = "accelerations at these frequencies are unreliable: log faster, or lower `filter.cutoff_hz`"
         yield Notice("motion_too_fast", "warning", name, band, meaning)
     q = joint.signals["q"]
     if q.maximum - q.minimum > MAX_TRAVEL:
-        travel = f"q spans {q.maximum - q.minimum:.4g}"
+        travel = f"q spans {short_number(q.maximum - q.minimum)}"
         meaning = "the joint is a wheel, or q is in degrees; for degrees, set `log.scale` of q to 0.0174533"
         yield Notice("many_turns", "note", name, travel, meaning)
 

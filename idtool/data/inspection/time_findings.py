@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from idtool.common.names import count_text
 from idtool.common.notice import Notice, Severity
+from idtool.common.number_text import short_number
 from idtool.data.inspection.records import Stamps
 
 MAX_JITTER = (
@@ -31,13 +32,13 @@ def sampling_jitter(dt: float, stamps: Stamps) -> Iterator[Notice]:
     """
     unevenness = _unevenness(dt, stamps)
     if stamps.step_jitter > MAX_JITTER:
-        deviation = f"the time between stamps varies by {stamps.step_jitter:.2g} sample periods rms"
+        deviation = f"the time between stamps varies by {short_number(stamps.step_jitter, 2)} sample periods rms"
         advice = f"{_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
     elif unevenness > MAX_JITTER:
         deviation = (
             "according to the motion, the actual sampling times deviate from the evenly spaced stamps by "
-            f"{unevenness:.2g} sample periods rms"
+            f"{short_number(unevenness, 2)} sample periods rms"
         )
         advice = f"the stamps were rounded or generated; {_DIFFERENTIATED}; log the sensor's own time"
         yield Notice("time_jitter", "warning", None, deviation, advice)
@@ -84,7 +85,8 @@ def gaps(duration: float, stamps: Stamps) -> Iterator[Notice]:
     if stamps.gaps:
         longest = stamps.longest_gaps[0]
         extent = (
-            f"{count_text(stamps.gaps, 'gap')}, {stamps.lost:.3g} s in total; the longest is {longest.lost:.3g} s, "
+            f"{count_text(stamps.gaps, 'gap')}, {short_number(stamps.lost)} s in total; the longest is "
+            f"{short_number(longest.lost)} s, "
             f"{longest.start:.3f} s after the start"
         )
         meaning = "filters do not cross gaps: samples next to a gap are not used, and short segments not at all"

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.number_text import short_number
 from idtool.data.inspection.records import Signal, TorqueSource
 
 Runs = Mapping[str, Sequence[Array]]
@@ -17,7 +18,7 @@ Runs = Mapping[str, Sequence[Array]]
 _MAX_LAW_RESIDUAL = 1e-3  # of tau's deviation: a control law's rounding leaves no more
 _DELAYS = (0, 1, 2)  # samples by which the law may act late
 _MIN_EXCITATION = 1e-2  # an acceleration this close to a line in q and v makes any torque look like a law
-_MIN_SENSOR_NOISE = 1e-5  # of tau's deviation: no sensor is that quiet
+_MIN_SENSOR_NOISE = 1e-5  # of tau's deviation: no sensor is that quiet, unless it is smoothed
 _MIN_SHARED_NOISE = 0.95  # share of tau's fast changes that those of q and v explain
 _MAX_SHARED_NOISE = 0.7
 _MAX_FAST_CHANGE = 2.0  # fast changes over noise
@@ -30,8 +31,8 @@ _ROUNDING_NOISE = 1.5 / np.sqrt(12)  # noise below this many steps may be the ro
 def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
     """Tell a measured torque from a commanded one.
 
-    Commanded: tau is a linear function of q, v and their commands, or its noise is theirs, or it has none. Measured: it
-    carries noise of its own. Where neither is plain, as with a torque held for several samples or rounded coarsely,
+    Commanded: tau is a linear function of q, v and their commands, or its noise is theirs. Measured: it carries noise
+    of its own. Where neither is plain, as with a torque without noise, held for several samples or rounded coarsely,
     the answer is ``unknown``.
 
     Parameters
@@ -52,9 +53,9 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
         return TorqueSource("unknown", f"{repeats}: the sensor or the controller is slow")
     spread = float(np.std(np.concatenate(runs["tau"])))
     if tau.step is None and tau.noise < _MIN_SENSOR_NOISE * spread:
-        return TorqueSource("commanded", "it has no noise, so it is probably computed")
+        return TorqueSource("unknown", "it has no noise: it was computed, or a sensor's torque was smoothed")
     if tau.step is not None and tau.noise < _ROUNDING_NOISE * tau.step:
-        return TorqueSource("unknown", f"its noise is smaller than its resolution of {tau.step:.3g}")
+        return TorqueSource("unknown", f"its noise is smaller than its resolution of {short_number(tau.step)}")
     changes = np.concatenate([np.diff(x, 2) for x in runs["tau"]])
     fast_change = 1.4826 * float(np.median(np.abs(changes))) / np.sqrt(6)
     if fast_change > _MAX_FAST_CHANGE * tau.noise:
@@ -65,7 +66,7 @@ def torque_source(runs: Runs, tau: Signal) -> TorqueSource:
             "commanded", f"{100 * share:.0f} % of its noise comes from q and v, as under feedback control"
         )
     if share < _MAX_SHARED_NOISE:
-        return TorqueSource("measured", f"it has its own noise, {tau.noise:.2g} rms")
+        return TorqueSource("measured", f"it has its own noise, {short_number(tau.noise, 2)} rms")
     return TorqueSource("unknown", f"{100 * share:.0f} % of its noise comes from q and v")
 
 
@@ -86,7 +87,9 @@ def _control_law(runs: Runs, tau: Signal) -> str | None:
         if residual < max(_MAX_LAW_RESIDUAL, min(rounding, 20 * _MAX_LAW_RESIDUAL)):
             terms = " ".join(f"{gain:+.4g} {name}" for gain, name in zip(gains, names, strict=True))
             late = f" with a delay of {delay} sample period{'s' if delay > 1 else ''}" if delay else ""
-            return f"it equals {terms} + constant{late}, to within {residual:.1g} of its standard deviation"
+            return (
+                f"it equals {terms} + constant{late}, to within {short_number(residual, 1)} of its standard deviation"
+            )
     return None
 
 

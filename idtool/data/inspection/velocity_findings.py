@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from idtool.common.notice import Notice, Severity
-from idtool.common.number_text import number, with_error
+from idtool.common.number_text import number, short_number, with_error
 from idtool.data.inspection.records import InspectedJoint, Velocity
 from idtool.data.logs.log import JointLog
 from idtool.data.velocity_agreement import velocity_agreement
@@ -79,7 +79,7 @@ def velocity_against_position(name: str, v: Velocity, band: float, dt: float) ->
         yield Notice("velocity_unrelated", severity, name, share, meaning)
         return
     if abs(v.gain - 1) > MAX_GAIN_ERROR:
-        gain = f"v is {v.gain:.4g} times the derivative of q"
+        gain = f"v is {short_number(v.gain)} times the derivative of q"
         meaning = "its unit, gear ratio or sign is wrong: correct it in `log.scale`, or set `velocity: differentiated`"
         severity = "problem" if v.gain < 0 or is_another_unit(v.gain) else "warning"
         yield Notice("velocity_gain", severity, name, gain, meaning)

@@ -16,6 +16,7 @@ from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import LogError
 from idtool.common.names import count_text, join_names, printable, suggestion
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.logs.log import Channel, JointLog
 from idtool.data.logs.stored_arrays import StoredRows, blocks_of, column_ranges, is_in_file
 
@@ -166,7 +167,8 @@ def _in_same_clock(name: str, flag: Channel, log: JointLog) -> Channel:
     distance = max(flag.t[0] - end, start - flag.t[-1], 0.0)
     if distance > _MAX_CLOCK_ERROR:
         what = (
-            f"the times of {printable(name)} are {distance:.3g} s away from those of the joints: it has another clock"
+            f"the times of {printable(name)} are {short_number(distance)} s away from those of the joints: it "
+            "has another clock"
         )
         raise LogError(log.path, what)
     return flag

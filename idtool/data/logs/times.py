@@ -11,6 +11,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 
 _UNITS = {"ns": 1e9, "us": 1e6, "ms": 1e3}  # units per second
 _MAX_SAMPLES = 1 << 14  # samples that the unit is judged by
@@ -97,5 +98,5 @@ def time_unit_notice(dt: float, unit: str, signals: Mapping[str, Array]) -> Noti
         The log's signals by name.
     """
     evidence = f"are in {unit}, according to v" if "v" in signals else f"seem to be in {unit}"
-    message = f"samples are {dt:.3g} s apart; the times {evidence}"
+    message = f"samples are {short_number(dt)} s apart; the times {evidence}"
     return Notice("wrong_unit", "problem", None, message, "write them in seconds")

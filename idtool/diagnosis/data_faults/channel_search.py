@@ -17,6 +17,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.inspection.velocity_findings import is_another_unit
 from idtool.data.signals import Motion
 from idtool.diagnosis.data_faults.channel_fit import MIN_UNEXPLAINED, Change, ChannelFit
@@ -220,8 +221,11 @@ class ChannelSearch:
             spoils_torque = j in out_of_range and joint.name in self.computed and u[j] > _MAX_FINAL_MEAN
             is_far = 0 < limit_range < np.inf and high - low > max(_FAR_BEYOND * limit_range, np.pi)
             if j not in known and (is_far or spoils_torque):
-                in_urdf = f"in the URDF from {joint.lower:.4g} to {joint.upper:.4g}"
-                message = f"q ranges from {low:.4g} to {high:.4g}, but {in_urdf}; it may be in degrees, mm or counts"
+                in_urdf = f"in the URDF from {short_number(joint.lower)} to {short_number(joint.upper)}"
+                message = (
+                    f"q ranges from {short_number(low)} to {short_number(high)}, but {in_urdf}; it may be in "
+                    "degrees, mm or counts"
+                )
                 yield Notice("wrong_unit", "problem", joint.name, message, "set its `log.scale`")
 
     def _velocity_faults(self) -> Iterator[Notice]:
@@ -230,11 +234,11 @@ class ChannelSearch:
         for j, joint in enumerate(self.joints):
             gain = self.gains.get(joint.name, 1.0)
             if gain < 0 and ("wrong_sign", j) not in corrected:
-                ratio = f"v is {gain:.3g} times the derivative of q, and q agrees with tau"
+                ratio = f"v is {short_number(gain)} times the derivative of q, and q agrees with tau"
                 yield Notice("wrong_sign", "problem", joint.name, ratio, "set the `log.scale` of v to -1")
             if is_another_unit(gain) and ("wrong_unit", j) not in corrected:
-                ratio = f"the magnitude of v is {abs(gain):.4g} times that of the derivative of q"
-                advice = f"set the `log.scale` of v to {1 / gain:.4g}"
+                ratio = f"the magnitude of v is {short_number(abs(gain))} times that of the derivative of q"
+                advice = f"set the `log.scale` of v to {short_number(1 / gain, 4)}"
                 yield Notice("wrong_unit", "problem", joint.name, ratio, advice)
 
 

@@ -14,6 +14,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.inspection import InspectedJoint
 from idtool.data.logs.log import JointLog
 from idtool.diagnosis.data_faults.channel_fit import Change, ChannelFit
@@ -53,7 +54,8 @@ def check_torques(experiment: Experiment) -> None:
             over_urdf = 10 ** float(ChannelFit(only_run).excess[j])
             if over_urdf > _MAX_OVER_URDF:
                 ratios = (
-                    f"{over_urdf:.1g} times that of the URDF's bodies and {over_others:.1g} times any other joint's"
+                    f"{short_number(over_urdf, 1)} times that of the URDF's bodies and "
+                    f"{short_number(over_others, 1)} times any other joint's"
                 )
                 advice = "correct its unit in the log or, of the robot's logs, with `log.scale` in the configuration"
                 raise LogError(log.path, f"tau of joint {names[j]} cannot be right: it is {ratios}; {advice}")
@@ -98,7 +100,7 @@ def wrong_torque_unit(fit: ChannelFit, change: Change, T: Array) -> Iterator[Not
     if all_too_large and _has_placeholder_masses(fit):
         return
     factor = float(np.exp(np.median(logs)))
-    ratio = f"tau is {factor:.3g} times the {'gravity' if weight else 'inertial'} torque of the URDF's bodies"
+    ratio = f"tau is {short_number(factor)} times the {'gravity' if weight else 'inertial'} torque of the URDF's bodies"
     cause = "if tau is a motor torque or a current, or is in another unit such as mN·m,"
     advice = f"{cause} set its `log.scale`; otherwise the URDF's masses are wrong"
     yield Notice("wrong_unit", "problem", None, f"{ratio} at {join_names(list(factors))}", advice)
@@ -178,9 +180,10 @@ def clipped_torque(fit: ChannelFit, j: int, joint: InspectedJoint) -> Iterator[N
     level = max(abs(tau.minimum), abs(tau.maximum))
     if missing > max(_MIN_SIGNIFICANCE * error, _MIN_EXCESS * level):
         extremes = (
-            f"tau is cut off at {tau.minimum:.4g} and {tau.maximum:.4g} in {100 * tau.stuck:.1f} % of the samples"
+            f"tau is cut off at {short_number(tau.minimum)} and {short_number(tau.maximum)} in "
+            f"{100 * tau.stuck:.1f} % of the samples"
         )
-        beyond = f"where the motion requires {missing:.2g} more on average"
+        beyond = f"where the motion requires {short_number(missing, 2)} more on average"
         name = fit.equation.joints[j]
         yield Notice("clipped", "problem", name, f"{extremes}, {beyond}", "reduce the excitation, or raise the limit")
 

@@ -46,7 +46,7 @@ def read_number(entry: EffectEntry, name: str) -> float:
     try:
         return UncertainValue.model_validate(entry.parameters[name]).value
     except ValueError:
-        message = f"{name} is not a number; give a number, or value and standard_error"
+        message = f"{name} is not a number of possible size; give a number, or value and standard_error"
         raise ConfigError(entry_location(entry), message) from None
 
 

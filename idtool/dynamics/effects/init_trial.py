@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from idtool.common.number_text import short_number
+
 
 @dataclass(frozen=True)
 class InitTrial:
@@ -55,4 +57,4 @@ class InitSearch(InitTrial):
 
     def shown(self, value: float) -> str:
         """A value with its unit, for people."""
-        return f"{self.display_factor * value:.3g} {self.display_unit}"
+        return f"{short_number(self.display_factor * value)} {self.display_unit}"

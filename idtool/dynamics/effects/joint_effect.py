@@ -14,6 +14,7 @@ from typing_extensions import override
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import printable
+from idtool.common.number_text import short_number
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.effect import Effect
 from idtool.dynamics.effects.entry_parameters import (
@@ -145,7 +146,10 @@ class JointEffect(NamedEffect):
         peak = float(summary.peak_torque[summary.model.names.index(str(joint))])
         if largest_friction <= peak:
             return ""
-        return f"its friction, {largest_friction:.3g}, is larger than the largest torque of the joint, {peak:.3g}"
+        return (
+            f"its friction, {short_number(largest_friction)}, is larger than the largest torque of the joint, "
+            f"{short_number(peak)}"
+        )
 
     @classmethod
     def dry_friction(cls, values: Mapping[str, Any]) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask, dilated
+from idtool.common.number_text import short_number
 from idtool.data.filters import DIFFERENCE_REACH, LowPass, differentiate
 from idtool.data.power_density import power_density
 from idtool.data.signals import Motion, reversals
@@ -108,9 +109,14 @@ class JointElasticity(FixedJointEffect):
         j = summary.model.names.index(str(joint))
         deflection = float(summary.peak_torque[j]) / float(values["stiffness"])
         if deflection > summary.q_range[j]:
-            return f"it would deflect by {deflection:.2g} at the largest torque, more than the joint travels"
+            return (
+                f"it would deflect by {short_number(deflection, 2)} at the largest torque, more than the joint travels"
+            )
         if deflection < summary.velocity_deadband[j] * summary.dt:
-            return f"it would deflect by {deflection:.2g} at the largest torque, less than the noise of the position"
+            return (
+                f"it would deflect by {short_number(deflection, 2)} at the largest torque, less than the noise "
+                "of the position"
+            )
         return ""
 
     @classmethod

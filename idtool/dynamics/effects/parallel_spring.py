@@ -9,6 +9,7 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array
+from idtool.common.number_text import short_number
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.joint_term import JointTerm
@@ -74,7 +75,10 @@ class ParallelSpring(JointTerm):
         rest_position = float(values["rest_position"])
         if abs(rest_position - middle) <= _MAX_REST_DISTANCE * summary.q_range[j]:
             return ""
-        return f"its torque hardly varies over the travel, as it would be at rest at {rest_position:.3g}: an offset"
+        return (
+            "its torque hardly varies over the travel, as it would be at rest at "
+            f"{short_number(rest_position)}: an offset"
+        )
 
     @override
     def column(self, motion: Motion) -> Array:

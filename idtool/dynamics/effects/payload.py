@@ -11,6 +11,7 @@ from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
+from idtool.common.number_text import number
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.entry_parameters import entry_location, read_number, read_vector
@@ -116,27 +117,27 @@ class Payload(LinkEffect):
     @classmethod
     @override
     def implausibility(cls, values: Mapping[str, Any], joint: str | None, summary: DataSummary) -> str:
-        """One payload that outweighs the robot."""
+        """One payload that outweighs the bodies of the model."""
         mass = float(values["mass"])
-        robot = sum(float(body.pi[0]) for body in summary.model.bodies)
-        if mass <= robot:
+        of_model = sum(float(body.pi[0]) for body in summary.model.bodies)
+        if mass <= of_model:
             return ""
-        return f"its mass, {mass:.3g} kg, is more than that of all moving links and rotors of the URDF, {robot:.3g} kg"
+        return f"its mass, {number(mass)} kg, is more than that of all bodies of the model, {number(of_model)} kg"
 
     @classmethod
     @override
     def doubt(cls, entries: Sequence[EffectEntry], model: RobotModel) -> str:
-        """Payloads that together outweigh the robot."""
+        """Payloads that together outweigh the bodies of the model."""
         mass = sum(read_number(entry, "mass") for entry in entries)
-        robot = sum(float(body.pi[0]) for body in model.bodies)
-        if mass <= robot:
+        of_model = sum(float(body.pi[0]) for body in model.bodies)
+        if mass <= of_model:
             return ""
         links = " and ".join(str(entry.link) for entry in entries)
         return (
-            f"the payload on {links}, {mass:.3g} kg, is heavier than all moving links and rotors of the URDF, "
-            f"{robot:.3g} kg: it may compensate for something the model lacks, such as rotors, or for wrong masses of "
-            "the URDF; weigh the robot and diagnose with known.total_mass and --inertia refit, or log motion that "
-            "lifts the load in other postures"
+            f"the payload on {links}, {number(mass)} kg, is heavier than all bodies of the model, {number(of_model)} "
+            "kg: it may compensate for something the model lacks, such as rotors, or for wrong masses of the URDF; "
+            "weigh the moving parts and diagnose with known.total_mass and --inertia refit, or log motion that lifts "
+            "the load in other postures"
         )
 
     @classmethod

@@ -9,6 +9,7 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array
+from idtool.common.number_text import short_number
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.joint_term import JointTerm, JointTerms
@@ -91,7 +92,10 @@ class TorqueRipple(JointTerms):
         periods_in_travel = float(values["periods"]) * turns
         if periods_in_travel >= 1:
             return ""
-        return f"the travel covers only {periods_in_travel:.2g} of its periods: it may be a spring, a stop or an offset"
+        return (
+            f"the travel covers only {short_number(periods_in_travel, 2)} of its periods: it may be a spring, "
+            "a stop or an offset"
+        )
 
     @classmethod
     @override

@@ -20,6 +20,7 @@ from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.base_sensors import BaseSensors
 from idtool.data.contact_channels import ContactChannels
 from idtool.data.logs.log import Channel, JointLog
@@ -138,11 +139,14 @@ def _torque_notice(loads: FootLoads, log: JointLog, model: RobotModel, config: C
         return None
     carried = float(loads.vertical_load[:, is_supported].sum(axis=0).mean())
     if carried < -_NO_LOAD:
-        what = f"by the torque of the legs, the feet pull at the ground with {-carried:.2g} times the robot's weight"
+        what = (
+            f"by the torque of the legs, the feet pull at the ground with {short_number(-carried, 2)} times "
+            "the robot's weight"
+        )
         return Notice("torque_sign", "problem", "tau", what, "reverse the sign of the torque (log.scale)")
     if _MIN_CARRIED <= carried <= _MAX_CARRIED or carried <= _NO_LOAD:
         return None
-    what = f"by the torque of the legs, the feet carry {carried:.2g} times the robot's weight"
+    what = f"by the torque of the legs, the feet carry {short_number(carried, 2)} times the robot's weight"
     advice = "check the scale of the torque (log.scale: N·m at the joint output per logged unit) and the URDF's masses"
     if carried < _MIN_CARRIED:
         advice += "; if something else holds the robot, add a contact for it"

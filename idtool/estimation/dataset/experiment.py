@@ -12,6 +12,7 @@ from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.common.provenance import InputFile
 from idtool.data.base_sensors import POSE, BaseSensors, needed_channels, sensor_options
 from idtool.data.batches import Batches
@@ -175,7 +176,9 @@ class Experiment:
             if travel > _STANDING.get(joint.kind, _STANDING_ANGLE):
                 unit = "m" if joint.kind == "prismatic" else "rad"
                 place = self.config.locked_joints.get(joint.name, 0.0)
-                moved.append(f"{printable(joint.name)} (moves by {travel:.3g} {unit}, assumed position {place:g})")
+                moved.append(
+                    f"{printable(joint.name)} (moves by {short_number(travel)} {unit}, assumed position {place:g})"
+                )
         if moved:
             message = (
                 f"these joints are assumed to stand still, but move in the log: {', '.join(moved)}; the effect of "
@@ -334,7 +337,7 @@ class Experiment:
         if len(still) == len(data) and not self.samples(held_out=False):
             lengths = [(part.stop - part.start) * run.signals.log.dt for run in self.runs for part in run.train]
             longest = max(lengths, default=0.0)
-            what = f"no part without gaps is long enough for the filter; the longest lasts {longest:.3g} s"
+            what = f"no part without gaps is long enough for the filter; the longest lasts {short_number(longest)} s"
             raise LogError(self.runs[0].signals.log.path, f"{what}: idtool inspect shows where samples are missing")
         if has_unknown_forces:
             what = "whenever the joints move, unknown contact forces can explain all torques"
@@ -653,11 +656,15 @@ def _check_signals(log: JointLog, joints: Sequence[str]) -> None:
         for name in joints:
             peak = peaks[log.joints.index(name)]
             if peak > _LARGEST:
-                raise LogError(log.path, f"{signal} of joint {name} reaches {peak:.1g}; remove invalid readings")
+                raise LogError(
+                    log.path, f"{signal} of joint {name} reaches {short_number(peak, 1)}; remove invalid readings"
+                )
     for name, channel in log.channels.items():
         peak = _finite_peaks(channel.x[:, None])[0]
         if peak > _LARGEST:
-            raise LogError(log.path, f"channel {printable(name)} reaches {peak:.1g}; remove invalid readings")
+            raise LogError(
+                log.path, f"channel {printable(name)} reaches {short_number(peak, 1)}; remove invalid readings"
+            )
 
 
 def _finite_peaks(x: Array) -> Array:

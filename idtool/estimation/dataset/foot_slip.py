@@ -18,6 +18,7 @@ import numpy as np
 from idtool.common.arrays import Array, Mask
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.estimation.dataset.foot_kinematics import FootMotion
 
 _CONTACT_EDGE = 0.05  # s, after each touchdown and before each lift-off, in which a foot may scuff
@@ -135,7 +136,10 @@ def slip_notices(slips: Sequence[FootSlip]) -> Iterator[Notice]:
         if len(slip.windows) > len(listed):
             listed.append(f"and {len(slip.windows) - len(listed)} more")
         share = f"{100 * slip.share:.0f} % of the time"
-        extent = f"at {slip.median_speed:.2g} m/s in the median, {_centimetres(slip.way)} in all ({', '.join(listed)})"
+        extent = (
+            f"at {short_number(slip.median_speed, 2)} m/s in the median, {_centimetres(slip.way)} in all "
+            f"({', '.join(listed)})"
+        )
         message = f"it slips {share} that it is on the ground, {extent}"
         if len(slip.feet) > 1:
             message = f"one of them slips {share} that they are on the ground, {extent}"
@@ -146,7 +150,7 @@ def slip_notices(slips: Sequence[FootSlip]) -> Iterator[Notice]:
 def _centimetres(way: float) -> str:
     """A way [m] in cm, with two digits below 10 cm."""
     centimetres = 100 * way
-    return f"{centimetres:.0f} cm" if centimetres >= 10 else f"{centimetres:.2g} cm"
+    return f"{centimetres:.0f} cm" if centimetres >= 10 else f"{short_number(centimetres, 2)} cm"
 
 
 def _compare_feet(motion: FootMotion) -> tuple[Mask, dict[tuple[int, ...], Array]]:

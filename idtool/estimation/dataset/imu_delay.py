@@ -13,6 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.base_sensors import BaseSensors
 from idtool.data.contact_channels import ContactChannels
 from idtool.data.logs.log import JointLog
@@ -68,7 +69,9 @@ def with_imu_delay(config: Config, model: RobotModel, logs: Sequence[JointLog]) 
     if difference < _MIN_SIGNIFICANCE * delay.standard_error:
         return config, []
     if sensor.delay != "auto":
-        message = f"it is {delay.text} late against the joints; a delay of {1e3 * present_delay:.3g} ms is given"
+        message = (
+            f"it is {delay.text} late against the joints; a delay of {short_number(1e3 * present_delay)} ms is given"
+        )
         return config, [Notice("imu_delay", "warning", name, message, f"set base.{name}.delay to auto")]
     message = f"it is {delay.text} late against the joints; idtool corrects it"
     corrected = config.model_copy(update={"base": config.base.with_delay(delay.value)})

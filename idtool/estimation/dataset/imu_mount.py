@@ -19,6 +19,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.estimation.dataset.foot_kinematics import FootMotion, without_mean
 from idtool.robot.config import Base
 from idtool.robot.inertia import skew
@@ -231,7 +232,7 @@ def _turned_notice(turn: Rotation, robot: Robot, base: Base) -> Notice:
 
 def _rpy(R: Array) -> str:
     """Angles of a rotation about the fixed axes x, y, z, as in a URDF [rad]."""
-    return " ".join(f"{angle + 0.0:.4g}" for angle in np.round(rpy_from_rotation(R), 4))
+    return " ".join(short_number(angle + 0.0) for angle in np.round(rpy_from_rotation(R), 4))
 
 
 def _cross_unit(i: int, position: Array) -> Array:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.logs import JointLog
 from idtool.data.logs.stored_arrays import column_ranges
 from idtool.robot.urdf.reading import Robot, UrdfJoint
@@ -43,7 +44,10 @@ def beyond_limits_notice(robot: Robot, ranges: PositionRanges) -> Notice | None:
     first = far_joints[0]
     limits = robot.joints[first]
     least, greatest = ranges[first]
-    example = f"{first} {least:.4g} to {greatest:.4g}, limits {limits.lower:.4g} to {limits.upper:.4g}"
+    example = (
+        f"{first} {short_number(least)} to {short_number(greatest)}, limits {short_number(limits.lower)} to "
+        f"{short_number(limits.upper)}"
+    )
     message = f"q is far outside the URDF's limits: {join_names(far_joints)} ({example})"
     return Notice("beyond_limits", severity="warning", subject=None, message=message, advice=_ADVICE)
 

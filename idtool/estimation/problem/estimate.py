@@ -12,6 +12,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.common.names import join_names
+from idtool.common.number_text import short_number
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
@@ -279,7 +280,7 @@ def unfinished_note(certificate: Certificate) -> str:
     error = certificate.parameter_error
     if certificate.name in LOCAL or (error is not None and error <= PARAMETER_TOLERANCE):
         return ""
-    far = "an unknown fraction" if error is None else f"{error:.1g}"
+    far = "an unknown fraction" if error is None else short_number(error, 1)
     return (
         "the cost is optimal, but some parameters are not exact: those that only the prior determines may be off "
         f"by {far} of their body's mass and size"

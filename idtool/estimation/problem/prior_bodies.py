@@ -16,6 +16,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.reduction import Reduction
@@ -142,7 +143,7 @@ def _own_reason(body: Body, mostly_light: bool) -> str | None:
     if not mass > 0:
         return "no mass" if body.bounds else None
     if mass < _LIGHTEST and (body.bounds or mostly_light):
-        return f"a mass of {mass:.1g} kg"
+        return f"a mass of {short_number(mass, 1)} kg"
     if np.allclose(inertia, np.eye(3), atol=_EQUAL_INERTIA):
         return "a unit inertia"
     return None
@@ -298,7 +299,8 @@ def _density(
     total = config.known.total_mass
     if total is not None and total.value > mass_of_others:
         return (total.value - mass_of_others) / volume, "computed from known.total_mass"
-    advice = "; weigh the robot and set known.total_mass"
+    weighed = "the robot" if model.has_floating_base else "the moving parts"
+    advice = f"; weigh {weighed} and set known.total_mass"
     density = _density_from_torque(equation, reduction, unit_densities, len(model.bodies))
     if not density > 0:
         return _DEFAULT_DENSITY, f"which is assumed{advice}"

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.number_text import short_number
 from idtool.dynamics.effects.rigid_body import typical_length
 from idtool.estimation.problem.conic import solve_conic
 from idtool.estimation.problem.projection import nearest_problem
@@ -74,7 +75,9 @@ def check_realizability(body: Body, pi: Array, pieces: Array | None = None) -> R
         pieces, distance = _split(pi, constraint_set, body)
         if distance > _NEAR:
             what = f"no density on the union of its {len(demanded)} bounding shapes has these parameters"
-            return _unrealizable(f"{what}; the nearest are {distance:.2g} away, in units of its mass and size")
+            return _unrealizable(
+                f"{what}; the nearest are {short_number(distance, 2)} away, in units of its mass and size"
+            )
         heaviest = int(np.argmax(pieces[:, 0]))
         pieces[heaviest] += pi - pieces.sum(axis=0)  # the rest that the solver's tolerance leaves
     return RealizabilityCheck((), pieces, *_point_masses(body, pieces))

@@ -11,6 +11,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduced_logs import ReducedLog
@@ -209,18 +210,21 @@ def cluster_notices(robust: ClusterRobustEstimate, data: Sequence[Blocks]) -> li
     """Notices about standard errors that are too small, or were computed from few data."""
     if robust.bootstrap is None:
         seconds = sum(len(log) * log.seconds for log in data)
-        few = f"{seconds:.2g} s of data are too short for the {FEWEST_CLUSTERS} blocks that standard errors need"
+        few = (
+            f"{short_number(seconds, 2)} s of data are too short for the {FEWEST_CLUSTERS} blocks that "
+            "standard errors need"
+        )
         message = f"{few}: the standard errors are computed from the residual's spectrum alone"
         return [Notice("few_blocks", "warning", None, message, "log for longer")]
     notices = []
     if robust.correlated_beyond_clusters:
-        long = f"the residual is correlated over more than the {robust.cluster_seconds:.2g} s"
+        long = f"the residual is correlated over more than the {short_number(robust.cluster_seconds, 2)} s"
         message = f"{long} of the longest possible block: standard errors may be too small"
         advice = "log for longer; if the model lacks effects, idtool diagnose finds them"
         notices.append(Notice("correlated_residual", "warning", None, message, advice))
     ratio = robust.bootstrap_ratio
     if ratio is not None and not 1 / _AGREEMENT < ratio < _AGREEMENT:
-        message = f"resampled standard errors are {ratio:.2g} times the analytic ones"
+        message = f"resampled standard errors are {short_number(ratio, 2)} times the analytic ones"
         advice = "both may be wrong by a factor of two"
         notices.append(Notice("standard_errors_disagree", "warning", None, message, advice))
     return notices

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import suggestion
+from idtool.common.number_text import short_number
 from idtool.excitation.standing.kinematics import FootKinematics, FootPose, Stance
 from idtool.excitation.standing.robot import Loads, StandingRobot
 from idtool.robot.collision import SelfCollision
@@ -89,7 +90,10 @@ def _start_positions(robot: StandingRobot, start: Mapping[str, float]) -> Array:
             raise ConfigError("--start", f"{name} is not a moving joint; {suggestion(name, limits.joints)}")
         j = limits.joints.index(name)
         if not limits.lower[j] < value < limits.upper[j]:
-            between = f"between {limits.lower[j]:.4g} and {limits.upper[j]:.4g}, the limits with the margin"
+            between = (
+                f"between {short_number(limits.lower[j], 4)} and {short_number(limits.upper[j], 4)}, the "
+                "limits with the margin"
+            )
             raise ConfigError("--start", f"{name} = {value:g} is not {between}")
         q[j] = value
     return q
@@ -118,12 +122,15 @@ def _level_stance(feet: FootKinematics, q: Array) -> Stance:
     heights = _lowest_points(feet, poses, R)[:, 2]
     uneven = float(np.ptp(heights))
     if uneven > _MAX_UNEVEN:
-        what = f"the feet are {1000 * uneven:.3g} mm above and below one plane in this posture"
+        what = f"the feet are {short_number(1000 * uneven)} mm above and below one plane in this posture"
         raise ConfigError("--start", f"{what}; give the positions of all joints of the legs, or of none")
     for foot, pose in zip(feet.feet, poses, strict=True):
         tilt = float(np.arccos(np.clip((R @ pose.R[0])[2, 2], -1, 1)))
         if foot.sole is not None and tilt > _MAX_TILT:
-            what = f"the z axis of link {foot.contact.link} is {np.degrees(tilt):.3g}° off the vertical in this posture"
+            what = (
+                f"the z axis of link {foot.contact.link} is {short_number(np.degrees(tilt))}° off the vertical "
+                "in this posture"
+            )
             raise ConfigError("--start", f"{what}; give a posture in which the soles are level")
     return Stance(q, R)
 
@@ -272,12 +279,12 @@ def _ground_fault(robot: StandingRobot, loads: Loads) -> str:
     pressure = loads.ground.pressure[:, 0]
     if normal.min() < limits.min_load:
         lightest = names[int(np.argmin(normal))]
-        return f"at the stance, foot {lightest} presses on the ground with {normal.min():.3g} N only"
+        return f"at the stance, foot {lightest} presses on the ground with {short_number(normal.min())} N only"
     if pressure.max() > limits.sole_share:
         worst = names[int(np.argmax(pressure))]
         return f"at the stance, the centre of pressure of {worst} is not inside its sole"
     friction = float(loads.ground.friction[:, 0].max())
-    return f"at the stance, the feet need a friction coefficient of {friction:.3g}"
+    return f"at the stance, the feet need a friction coefficient of {short_number(friction)}"
 
 
 def _check_stance(
@@ -292,7 +299,7 @@ def _check_stance(
     share = np.abs(loads.torque[:, 0]) / robot.limits.effort
     if share.max() > 1:
         joint = robot.limits.joints[int(np.argmax(share))]
-        what = f"at the stance, {joint} needs {100 * share.max():.3g} % of its effort limit with the margin"
+        what = f"at the stance, {joint} needs {short_number(100 * share.max())} % of its effort limit with the margin"
         raise ModelError(where, f"{what}; give another --start, or a larger limit")
     if loads.violation[0] > 0:
         what = _ground_fault(robot, loads)
@@ -301,6 +308,6 @@ def _check_stance(
         return
     (one, other), distance, _ = collision.nearest(_all_coordinates(robot, stance.q[:, None]))
     if distance < clearance:
-        what = f"links {one} and {other} are {1000 * distance:.3g} mm apart at the stance"
+        what = f"links {one} and {other} are {short_number(1000 * distance)} mm apart at the stance"
         advice = f"give another --start, or a smaller --clearance than {1000 * clearance:g} mm"
         raise ModelError(where, f"{what}; {advice}")

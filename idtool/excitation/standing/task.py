@@ -15,6 +15,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
+from idtool.common.number_text import short_number
 from idtool.data.signals import Motion
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.regressor import LinearModel
@@ -253,7 +254,9 @@ def _row_noise(model: RobotModel, limits: Limits, given: Mapping[str, float]) ->
     wrench = np.repeat([force, force * _NOISE_ARM], 3)
     assumed = np.concatenate([NOISE_SHARE * largest, np.tile(wrench, (len(model.joints) - n) // len(wrench))])
     noise = np.array([given.get(name, x) for name, x in zip(model.names, assumed, strict=True)])
-    assumed_rows = [f"{name} {x:.3g}" for name, x in zip(model.names, noise, strict=True) if name not in given]
+    assumed_rows = [
+        f"{name} {short_number(x)}" for name, x in zip(model.names, noise, strict=True) if name not in given
+    ]
     return noise, tuple(assumed_rows)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from idtool.common.number_text import short_number
+
 
 @dataclass(frozen=True)
 class Part:
@@ -29,7 +31,7 @@ class Part:
     unit: str | None = None
 
     def __str__(self) -> str:
-        amount = "" if self.value is None else f", {self.value:.4g} {self.unit}"
+        amount = "" if self.value is None else f", {short_number(self.value)} {self.unit}"
         return f"{self.what} of {self.of}: {self.detail}{amount}"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from idtool.common.number_text import short_number
 from idtool.dynamics.effects.simulator_element import (
     ConstantTorque,
     Damping,
@@ -53,7 +54,7 @@ class JointForces:
             stiffness = total
         self.stiffness = stiffness
         self.springref = springref
-        return f"stiffness, springref {springref:.4g}"
+        return f"stiffness, springref {short_number(springref)}"
 
     def attributes(self) -> dict[str, str]:
         """Attributes of the joint's tag that are not zero."""
@@ -104,7 +105,7 @@ class ForcesByJoint(dict[str, JointForces]):
                 return forces.add_spring(stiffness, rest_position + forces.ref)
             case OneSidedSpring(stiffness=stiffness, position=position, side=side):
                 forces.stops.append((side, position + forces.ref, stiffness))
-                return f"a spring on a tendon, which acts beyond {position + forces.ref:.4g}"
+                return f"a spring on a tendon, which acts beyond {short_number(position + forces.ref)}"
             case TorqueTransfer(source=source, share=share):
                 shares = self[names[source]].torque_shares
                 joint = names[element.joint]

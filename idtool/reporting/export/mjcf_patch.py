@@ -11,11 +11,11 @@ from typing_extensions import override
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
+from idtool.common.number_text import number
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.file_patch import DIGITS, FilePatch, exact_text, number_text, vector_text
 from idtool.reporting.export.patch_plan import BodyChange, JointChange, PatchPlan
 from idtool.reporting.export.present_values import default_attributes, has_mjcf_inertia, has_value, is_turned
-from idtool.reporting.number_text import four_digits
 from idtool.robot.inertia import round_to_digits, rounded_inertial, symmetric_entries
 from idtool.robot.urdf.text import Edit, Element, apply_edits, set_attribute
 
@@ -73,7 +73,7 @@ class MjcfPatch(FilePatch):
     def set_gravity(self, tilt: Part) -> None:
         turned = self._turned_base()
         if turned is not None:
-            values = ", ".join(four_digits(float(x)) for x in self.plan.gravity)
+            values = ", ".join(number(float(x)) for x in self.plan.gravity)
             detail = (
                 f"the file turns {turned.tag} {turned.name}".rstrip() + " and the robot with it; set gravity by hand: "
                 f"it is [{values}] m/s² in the root link's frame"
@@ -209,7 +209,7 @@ class MjcfPatch(FilePatch):
 
 def _mass_and_com(mass: float, com: Array) -> str:
     """Mass and centre of mass, for people."""
-    return f"{four_digits(mass)} kg at [{exact_text(round_to_digits(com, 4))}] m"
+    return f"{number(mass)} kg at [{exact_text(round_to_digits(com, 4))}] m"
 
 
 def _inertial(pi: Array) -> tuple[float, str]:

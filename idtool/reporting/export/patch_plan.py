@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.number_text import number, short_number
 from idtool.diagnosis.records import RIGID_BODY
 from idtool.dynamics.effects import effect_from_entry, effect_types, mechanism_of
 from idtool.dynamics.effects.simulator_element import (
@@ -23,7 +24,6 @@ from idtool.reporting.diagnosis_text import owner_name
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.identified import EffectTorque, IdentifiedModel
 from idtool.reporting.export.joints import ForcesByJoint
-from idtool.reporting.number_text import four_digits
 from idtool.reporting.results.diagnosis import ChangeReport
 from idtool.robot.body import Body
 from idtool.robot.config import EffectEntry
@@ -259,7 +259,10 @@ def _part(change: ChangeReport, delay: float) -> Part:
     owner = owner_name(change)
     if delay:
         late = "later" if delay > 0 else "earlier"
-        detail = f"the torque acts {1e3 * abs(delay):.3g} ms {late} on the robot; change the simulator's controller"
+        detail = (
+            f"the torque acts {short_number(1e3 * abs(delay))} ms {late} on the robot; change the simulator's "
+            "controller"
+        )
         return Part(change.effect, owner, detail, delay, "s")
     is_in_simulator = any(parameter.simulator is not None for parameter in change.parameters.values())
     texts = []
@@ -279,4 +282,4 @@ def _value_text(value: object) -> str:
         return f"[{', '.join(_value_text(x) for x in value)}]"
     if value is None:
         return "none"
-    return four_digits(value) if isinstance(value, float | int) else str(value)
+    return number(value) if isinstance(value, float | int) else str(value)

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing_extensions import override
 
 from idtool.common.arrays import Array
+from idtool.common.number_text import number
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.file_patch import DIGITS, FilePatch, number_text
 from idtool.reporting.export.patch_plan import BodyChange, JointChange, PatchPlan
 from idtool.reporting.export.present_values import has_urdf_inertia, has_value
-from idtool.reporting.number_text import four_digits
 from idtool.robot.inertia import round_to_digits
 from idtool.robot.urdf.writing import JointDynamics, link_parameters, replace_parameters
 
@@ -64,8 +64,8 @@ class UrdfPatch(FilePatch):
         if all(has_urdf_inertia(self._links[name], pi) for name, pi in new.items()):
             return
         self._inertias |= new
-        mass = four_digits(float(change.pi[0]))
-        self.carried.append(replace(change.part, detail=f"inertial, mass {four_digits(change.mass)} → {mass}"))
+        mass = number(float(change.pi[0]))
+        self.carried.append(replace(change.part, detail=f"inertial, mass {number(change.mass)} → {mass}"))
 
     @override
     def edited_text(self) -> bytes:

@@ -38,11 +38,13 @@ from idtool.reporting.sections.diagnosis import CandidatesSection, ErrorsBeforeA
 from idtool.reporting.sections.fit import BodiesSection, FrictionSection
 from idtool.reporting.sections.simulation import SimulationErrorsSection
 from idtool.reporting.simulation_report import simulation_report
+from idtool.reporting.verdict import LEVEL_TEXTS
 
 _STEPS = ("The steps", "diagnosis_steps.html")
 _SIMULATION = SimulationErrorsSection("diagnosis_simulation.html")
 _AGAINST = (ChangesSection(), SimulatorGapSection(), UnchangedSection())
 _SECTIONS = (
+    ("Verdict", "verdict.html"),
     ("Findings", "diagnosis_findings.html"),
     *_AGAINST,
     ErrorsBeforeAfterSection(),
@@ -59,12 +61,6 @@ _MODEL_NAMES = ("before", "after")
 _MODELS_TEXT = "the original model and of the model with the effects"
 _MAX_VALUES = 50_000  # that all curves of torque hold together: some 400 kB of text
 _MAX_ROWS = 30  # of a step's table of candidates
-_VERDICTS = {
-    "no_disagreement": ("good", "No disagreement"),
-    "explained": ("good", "Explained"),
-    "partly_explained": ("note", "Partly explained"),
-    "unexplained": ("bad", "Unexplained"),
-}
 
 
 def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) -> str:
@@ -101,7 +97,8 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
         residuals=residual_figures(diagnosis.maps_before, diagnosis.maps_after, units, _MODEL_NAMES, _MODELS_TEXT),
         groups=rows_by_unit(units),
         position_unit=position_units(units),
-        verdict=_verdict(report),
+        verdict_level=report.model_verdict,
+        verdict_text=LEVEL_TEXTS[report.model_verdict],
         cards=[_step_view(i, step, report) for i, step in enumerate(report.steps, 1)],
         held_out=held_out,
         removed=[_with_full_stop(sentence) for sentence in report.removed],
@@ -116,14 +113,6 @@ def diagnosis_page(diagnosis: Diagnosis, report: DiagnosisReport, command: str) 
         where=f"On the {'held-out data' if held_out else 'data that the model was fitted to'}",
         command=command,
     )
-
-
-def _verdict(report: DiagnosisReport) -> tuple[str, str]:
-    """Level and title of the verdict; if the comparison is not conclusive, of the robot's logs alone."""
-    level, title = _VERDICTS[report.verdict]
-    if report.against is not None and report.against.inconclusive:
-        title = "The robot's logs"
-    return level, title
 
 
 def _worst_joint(report: DiagnosisReport) -> str | None:

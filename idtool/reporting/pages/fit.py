@@ -120,6 +120,7 @@ def fit_page(
         folded=_FOLDED,
         questions=_QUESTIONS,
         report=report,
+        verdict_level=report.verdict,
         verdict_text=LEVEL_TEXTS[report.verdict],
         groups=rows_by_unit(units),
         torques=torque_figures(fit.evaluation, "identified", units),

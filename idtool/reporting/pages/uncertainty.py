@@ -27,6 +27,7 @@ from idtool.reporting.sections.uncertainty import (
     BaseParametersSection,
     BiasSection,
     RepeatabilitySection,
+    bias_distance,
     compared_parameters,
     shown_logs,
 )
@@ -162,6 +163,7 @@ def _repeatability_view(logs: RepeatabilityReport) -> View:
         "single": len(logs.parameters) - len(compared),
         "differ": sum(not p.agrees for p in logs.parameters),
         "of": len(logs.parameters),
+        "largest": max((p.ratio for p in logs.parameters if p.ratio is not None), default=None),
         "widest": widest,
         "middle": round(100 * _BAR_HALF_WIDTH / widest, 1),
     }
@@ -199,6 +201,11 @@ def _axis_position(dot: tuple[float, float] | None, widest: float) -> tuple[floa
 
 
 def _bias_view(bias: BiasReport) -> View:
-    """The number of parameters, of those that differ, and of those that are not shown."""
+    """The number of parameters, of those that differ, and of those that are not shown; the largest difference."""
     count = len(bias.parameters)
-    return {"hidden": max(count - MAX_ROWS, 0), "differ": sum(p.differs for p in bias.parameters), "of": count}
+    return {
+        "hidden": max(count - MAX_ROWS, 0),
+        "differ": sum(p.differs for p in bias.parameters),
+        "of": count,
+        "largest": max(map(bias_distance, bias.parameters), default=None),
+    }

@@ -68,6 +68,7 @@ def validation_page(
         robot,
         folded=("Origin of this report",),
         report=report,
+        verdict_level=report.verdict,
         verdict_text=LEVEL_TEXTS[report.verdict],
         groups=rows_by_unit(units),
         torques=torque_figures(evaluation, "model", units),

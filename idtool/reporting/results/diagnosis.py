@@ -27,6 +27,7 @@ from idtool.reporting.results.fit import (
     ReflectedInertia,
     SolverReport,
 )
+from idtool.reporting.results.verdict import VERDICT_TEXT, VerdictLevel, VerdictReason
 
 ByState = Annotated[ReadOnly[Vector], Keys("state")]
 
@@ -258,6 +259,10 @@ class DiagnosisReport(ReproducibleResult):
         "The verdict; never `no_disagreement` if the noise floor is not known, and at most `partly_explained` if the "
         "comparison with a simulator is not conclusive."
     )
+    model_verdict: VerdictLevel = field(f"Verdict on the model with the effects: {VERDICT_TEXT}")
+    verdict_reasons: tuple[VerdictReason, ...] = field(
+        "What was judged, one entry each; `model_verdict` is the worst of their levels."
+    )
     searched: tuple[str, ...] | None = field("Effects that were searched for; null: all.")
     stopped: str = field("Why the search ended before it was complete; empty if it was complete.")
     before: ErrorLevel = field("Errors of the model without the effects.")
@@ -287,6 +292,13 @@ class DiagnosisReport(ReproducibleResult):
     seconds: float = field("Wall time [s].")
     summary: str = field("The verdict as sentences.")
     next: Sentences = field("Suggested next steps, one sentence each.")
+
+    @property
+    def lesser_faults(self) -> tuple[DataFault, ...]:
+        """Data faults that are no problems, which the verdict names; those first that idtool does not correct."""
+        problems = {(notice.code, notice.subject) for notice in self.notices if notice.severity == "problem"}
+        lesser = [fault for fault in self.data_faults if (fault.fault, fault.joint) not in problems]
+        return tuple(sorted(lesser, key=lambda fault: fault.undone))
 
     @property
     def further_notices(self) -> tuple[NoticeReport, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from idtool.common.arrays import Array
+from idtool.common.number_text import short_number
 from idtool.reporting.results.base import (
     ByJoint,
     ByJointOrNone,
@@ -134,11 +135,11 @@ class BodyReport(Record):
         return symmetric_matrix(self.inertia_com)
 
     def __repr__(self) -> str:
-        com = ", ".join(f"{x:.4g}" for x in self.com)
-        moments = ", ".join(f"{x:.4g}" for x in self.inertia_com[[0, 2, 5]])
+        com = ", ".join(short_number(x) for x in self.com)
+        moments = ", ".join(short_number(x) for x in self.inertia_com[[0, 2, 5]])
         existence = "realizable" if self.realizable else "not realizable"
-        error = f" ± {self.standard_error[0]:.2g}" if self.standard_error[0] >= 0 else ""
-        mass = f"{self.mass:.4g}{error} kg"
+        error = f" ± {short_number(self.standard_error[0], 2)}" if self.standard_error[0] >= 0 else ""
+        mass = f"{short_number(self.mass)}{error} kg"
         return f"{self.kind.capitalize()}: {mass} at ({com}) m, Ixx, Iyy, Izz {moments} kg·m², {existence}"
 
 
@@ -270,7 +271,10 @@ class BiasParameter(Record):
     ls: float = field("Value by least squares.")
     iv: float = field("Value by instrumental variables.")
     standard_error: float = field("Standard error of the difference.")
-    differs: bool = field("Whether the two differ by more than chance.")
+    differs: bool = field(
+        "Whether the two differ significantly: by more than chance, and least squares outside the 95 % interval of the "
+        "other."
+    )
 
 
 class BiasReport(Record):
@@ -293,7 +297,7 @@ class RepeatedParameter(Record):
     value: tuple[float | None, ...] = field("Value by log; null if the log does not determine it.")
     standard_error: tuple[float | None, ...] = field("Standard error by log.")
     ratio: float | None = field("Scatter divided by the scatter expected from the standard errors.")
-    agrees: bool = field("Whether the scatter can be explained by chance.")
+    agrees: bool = field("Whether chance can explain the scatter, with so many combinations and time blocks.")
 
 
 class RepeatabilityReport(Record):

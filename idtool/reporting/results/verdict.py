@@ -1,4 +1,4 @@
-"""Records of a verdict: ``verdict`` and ``verdict_reasons`` of report.json and validation.json."""
+"""Records of a verdict: ``verdict`` and ``verdict_reasons`` of report.json, validation.json and diagnosis.json."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ REASONS_TEXT = "What was judged, one entry each; the verdict is the worst of the
 class VerdictReason(Record):
     """One of the things that a verdict depends on."""
 
-    about: Literal["torque", "motion", "bodies", "data"] = field("What was judged.")
+    about: Literal["effects", "torque", "motion", "bodies", "data"] = field("What was judged.")
     level: VerdictLevel = field("Best verdict that it allows.")
     figure: float | None = field(
+        "`effects`: share of the gap to the noise floor that they close; "
         "`torque`: error over the torque's standard deviation; `motion`: time for which a rollout can be trusted "
         "[s], in closed loop the position error over that of a robot that follows its command; `bodies`: total mass "
         "over that of the URDF; `data`: share of the base parameters that the logs determine. Null: not known."

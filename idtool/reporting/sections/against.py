@@ -153,11 +153,11 @@ def _is_left_out(parameter: ComparedParameter) -> bool:
 def _text(value: Any, error: Any) -> str:
     """A value with its standard error."""
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return f"[{', '.join(number(x) for x in round_to_digits(value, 4).tolist())}]"
+        return f"[{', '.join(number(x) for x in round_to_digits(value, 3).tolist())}]"
     if value is None:
         return NO_VALUE
     if isinstance(value, str):
         return value
     if not error:  # not known, or exact
-        return number(value, 4)
+        return number(value)
     return " ± ".join(with_error(value, error))

@@ -157,7 +157,7 @@ def name_column(heading: str) -> Column:
     return Column(heading, kind="name")
 
 
-def number_cell(x: float | None, digits: int = 4, emphasis: Emphasis | None = None) -> Cell:
+def number_cell(x: float | None, digits: int = 3, emphasis: Emphasis | None = None) -> Cell:
     """A number to ``digits`` significant digits; a dash for None."""
     known = x is not None and math.isfinite(x)
     return Cell(number(x, digits), x if known else None, emphasis)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from typing_extensions import override
 
-from idtool.common.number_text import number, parameter_text
+from idtool.common.number_text import number, parameter_text, with_error
 from idtool.common.units import common_unit, position_units
 from idtool.reporting.diagnosis_text import UNKNOWN, effect_name, owner_name, worse_motion
+from idtool.reporting.number_text import percent
 from idtool.reporting.results.base import ByJointOrNone
 from idtool.reporting.results.diagnosis import CandidateReport, DiagnosisReport, StepReport
 from idtool.reporting.sections.base import (
@@ -25,6 +27,7 @@ from idtool.reporting.sections.base import (
     percent_cell,
 )
 
+_MIN_SCORE = 5e-4  # a share that is shown as 0
 _MAX_INCREASE = 1.02  # times the torque error before
 _NO_REASON = "the chosen effect explains more, or is simpler or likelier"
 _EXPLAINED = "Percentage of the squared residual that the effect removes on data not used for fitting"
@@ -227,11 +230,12 @@ def score_text(score: float | None, error: float | None) -> str:
     """A share of the disagreement in percent, with its standard error."""
     if score is None:
         return NO_VALUE
-    text = f"{100 * score:z.1f}"  # without a sign before 0.0
-    if error is None:
-        return f"{text} %"
-    deviation = f"{100 * error:.1f}"
-    return "0 %" if float(text) == float(deviation) == 0 else f"{text} ± {deviation} %"
+    if error is None or not math.isfinite(error):
+        return "0 %" if abs(score) < _MIN_SCORE else percent(score)
+    if max(abs(score), error) < _MIN_SCORE:
+        return "0 %"
+    text, deviation = with_error(100 * score, 100 * error)
+    return f"{float(text) + 0.0:.{len(text.partition('.')[2])}f} ± {deviation} %"  # without a sign before 0
 
 
 def change_text(before: Mapping[str, Any] | None, after: Mapping[str, Any] | None, name: str = "overall") -> str:

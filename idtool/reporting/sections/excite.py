@@ -6,6 +6,7 @@ import math
 
 from typing_extensions import override
 
+from idtool.common.number_text import short_number
 from idtool.common.units import units_text
 from idtool.reporting.results.excitation import ExcitationReport, LimitUtilization
 from idtool.reporting.sections.base import (
@@ -126,8 +127,9 @@ def ground_sentence(report: ExcitationReport) -> str:
     use = percent_cell(standing.tightest_use).text
     return (
         f"tightest limit: {standing.tightest} ({use}, with all margins and a friction coefficient of "
-        f"{standing.friction_coefficient:g}); the base moves by up to {100 * shift:.2g} cm and turns by up to "
-        f"{math.degrees(turn):.2g}° from the stance"
+        f"{standing.friction_coefficient:g}); the base moves by up to {short_number(100 * shift, 2)} cm "
+        "and turns by up to "
+        f"{short_number(math.degrees(turn), 2)}° from the stance"
     )
 
 

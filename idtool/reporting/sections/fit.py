@@ -123,7 +123,7 @@ class KnownValuesSection(Section["FitReport | DiagnosisReport"]):
         for known in report.known:
             exact = known.standard_error is None
             error = Cell("exact") if exact else number_cell(known.standard_error, 2)
-            rows.append([Cell(known.what), number_cell(known.value, 5), error, number_cell(known.identified, 5)])
+            rows.append([Cell(known.what), number_cell(known.value, 4), error, number_cell(known.identified, 4)])
         return Table(self.title, columns, rows)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from typing_extensions import override
 
+from idtool.common.number_text import short_number
 from idtool.common.units import units_text
 from idtool.reporting.results.base import ByJointOrNone
 from idtool.reporting.results.rollouts import Simulation
@@ -79,7 +80,7 @@ def restarts_text(simulation: Simulation) -> str:
     """Time between restarts, in words."""
     if simulation.window:
         return f"{simulation.window:g} s at a time"
-    return f"{simulation.seconds:.3g} s, never restarted"
+    return f"{short_number(simulation.seconds)} s, never restarted"
 
 
 def _model_names(simulation: Simulation) -> list[str]:

@@ -79,7 +79,7 @@ class ConstraintSetsSection(Section[StudyReport]):
             row = [Cell(name), Cell(entry.lmi), *_error_cells(entry.rms)]
             row.append(Cell(violations, entry.violations, "bad" if entry.violations else None))
             row += [number_cell(entry.worst_margin, 2), number_cell(1000 * entry.seconds)]
-            row += [Cell(str(entry.iterations)), _gap_cell(entry.duality_gap), number_cell(entry.objective, 5)]
+            row += [Cell(str(entry.iterations)), _gap_cell(entry.duality_gap), number_cell(entry.objective)]
             rows.append(row)
         title = f"Constraint sets: RMS torque error, {units_text(report.units)}, below {report.band_hz:g} Hz"
         return Table(title, columns, rows)

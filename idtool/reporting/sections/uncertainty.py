@@ -210,7 +210,7 @@ class BiasSection(Section[FitReport]):
             Column("differs"),
         ]
         rows = []
-        for p in sorted(report.bias.parameters, key=lambda p: (not p.differs, -_distance(p)))[:MAX_ROWS]:
+        for p in sorted(report.bias.parameters, key=lambda p: (not p.differs, -bias_distance(p)))[:MAX_ROWS]:
             differs = Cell("yes", emphasis="bad") if p.differs else Cell("no")
             estimates = [number_cell(p.ls), number_cell(p.iv), *error_cells(p.iv - p.ls, p.standard_error)]
             rows.append([Cell(p.name), Cell(p.unit), *estimates, differs])
@@ -243,7 +243,7 @@ def _extreme_cells(values: Iterable[float | None], logs: Sequence[str]) -> list[
     return [number_cell(least), Cell(least_log), number_cell(greatest), Cell(greatest_log)]
 
 
-def _distance(p: BiasParameter) -> float:
+def bias_distance(p: BiasParameter) -> float:
     """Distance of the two estimates in standard errors."""
     if not p.standard_error:
         return 0.0

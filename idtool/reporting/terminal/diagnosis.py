@@ -8,6 +8,7 @@ from pathlib import Path
 from idtool.reporting.diagnosis_text import (
     UNKNOWN,
     effect_name,
+    is_correctable,
     owner_name,
     step_title,
     worse_motion,
@@ -22,8 +23,8 @@ from idtool.reporting.sections.diagnosis import (
     score_text,
 )
 from idtool.reporting.terminal.base import STYLE, Terminal
+from idtool.reporting.terminal.verdict import show_verdict
 
-_STYLES = {"explained": "bold green", "no_disagreement": "bold green", "unexplained": STYLE["problem"]}
 _MODEL_FILES = ("identified.urdf", "model.yaml")
 
 
@@ -43,13 +44,8 @@ def show_diagnosis(
     explain
         True to list the rejected candidates with reasons.
     """
-    for fault in sorted(report.data_faults, key=lambda fault: bool(fault.undone)):
-        on_joint = f"{fault.joint}: " if fault.joint else ""
-        kind, style = ("note on the data", "note") if fault.undone else ("data fault", "problem")
-        what = fault.fault.replace("_", " ")
-        terminal.say(f"{kind}: {on_joint}{what}: {fault.detail}", STYLE[style])
-    terminal.say(report.summary, _STYLES.get(report.verdict, f"bold {STYLE['warning']}"))
-    terminal.say("")
+    show_verdict(terminal, report.model_verdict, report.verdict_reasons, report.next)
+    _show_data_faults(terminal, report)
     _show_steps(terminal, report)
     _show_errors(terminal, report)
     if explain:
@@ -58,13 +54,24 @@ def show_diagnosis(
         terminal.say(report.against.summary, STYLE["warning"] if report.against.inconclusive else "bold")
         terminal.say("")
         terminal.sections([ChangesSection(), SimulatorGapSection()], report)
-    for text in report.next:
-        terminal.say(f"next: {text}")
     terminal.notices(report.further_notices)
     terminal.say(f"written: {folder}/{', '.join(files)}")
     older = [name for name in _MODEL_FILES if name not in files and (folder / name).exists()]
     if older:
         terminal.say(f"warning: not of this run, but of an earlier one: {', '.join(older)}", STYLE["warning"])
+
+
+def _show_data_faults(terminal: Terminal, report: DiagnosisReport) -> None:
+    """Print the faults of the data that the verdict does not name, those first that idtool does not correct."""
+    for fault in report.lesser_faults:
+        on_joint = f"{fault.joint}: " if fault.joint else ""
+        kind, style = "data fault", "problem" if is_correctable(fault) else "warning"
+        if fault.undone:
+            kind, style = "note on the data", "note"
+        what = fault.fault.replace("_", " ")
+        terminal.say(f"{kind}: {on_joint}{what}: {fault.detail}", STYLE[style])
+    if report.lesser_faults:
+        terminal.say("")
 
 
 def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
@@ -100,12 +107,6 @@ def _show_step(terminal: Terminal, index: int, step: StepReport, report: Diagnos
 def _show_errors(terminal: Terminal, report: DiagnosisReport) -> None:
     """Print the errors by joint, before, after and at the noise floor."""
     terminal.sections([ErrorsBeforeAfterSection()], report)
-    if "overall" in report.rollout_worse:
-        terminal.say(
-            "The final model predicts the torque better than the original model, but its simulation is worse: do not "
-            "simulate with this model.",
-            STYLE["problem"],
-        )
 
 
 def _show_rejected(terminal: Terminal, steps: Sequence[StepReport]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from idtool.common.number_text import parameter_text
+from idtool.common.number_text import parameter_text, short_number
 from idtool.reporting.results.excitation import ExcitationReport, ExplanationReport
 from idtool.reporting.sections.excite import (
     CriteriaSection,
@@ -31,7 +31,7 @@ def show_excitation(terminal: Terminal, report: ExcitationReport) -> None:
     near = report.clearance
     if near and near.distance is not None:
         links = " and ".join(near.links)
-        terminal.say(f"nearest links: {links}, {1000 * near.distance:.3g} mm after {near.t:.4g} s")
+        terminal.say(f"nearest links: {links}, {short_number(1000 * near.distance)} mm after {short_number(near.t)} s")
     terminal.notices(report.notices)
     if report.file is not None:
         terminal.say(f"written: {report.file} and {Path(report.file).with_suffix('.html').name}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from idtool.common.number_text import short_number
 from idtool.estimation.problem.certificate import GAP, ROUNDING
 from idtool.reporting.results.fit import FitReport, SolverReport
 from idtool.reporting.sections.fit import (
@@ -39,7 +40,7 @@ def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
     regularization = report.regularization
     if regularization.automatic is not None:
         reason = regularization.automatic.reason
-        terminal.say(f"the prior's weight is {regularization.weight:.2g}: {reason}")
+        terminal.say(f"the prior's weight is {short_number(regularization.weight, 2)}: {reason}")
     terminal.say(_optimality_text(report.solver))
     terminal.notices(report.notices)
     robots = ", robots/" if report.fleet else ""

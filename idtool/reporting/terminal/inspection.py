@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from idtool.common.number_text import short_number
 from idtool.reporting.results.inspection import InspectionReport
 from idtool.reporting.sections.inspection import JointsSection, SensorsSection
 from idtool.reporting.terminal.base import Terminal
@@ -10,7 +11,8 @@ from idtool.reporting.terminal.base import Terminal
 def show_inspection(terminal: Terminal, inspection: InspectionReport) -> None:
     """Print the contents of a log and the findings."""
     terminal.say(
-        f"{inspection.path}: {inspection.samples} samples, {inspection.duration:.2f} s at {inspection.rate_hz:.4g} Hz, "
+        f"{inspection.path}: {inspection.samples} samples, {inspection.duration:.2f} s at "
+        f"{short_number(inspection.rate_hz, 4)} Hz, "
         f"{inspection.segments} segment{'s' if inspection.segments != 1 else ''} without gaps"
     )
     terminal.sections([JointsSection(), SensorsSection()], inspection)

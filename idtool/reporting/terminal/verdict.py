@@ -1,4 +1,4 @@
-"""The verdict on a model, above all else that `fit` and `validate` print."""
+"""The verdict on a model, above all else that `fit`, `validate` and `diagnose` print."""
 
 from __future__ import annotations
 
@@ -16,10 +16,14 @@ _STYLES: Mapping[VerdictLevel, str] = {
 }
 
 
-def show_verdict(terminal: Terminal, level: VerdictLevel, reasons: Sequence[VerdictReason]) -> None:
-    """The verdict, and its reasons, one a line."""
+def show_verdict(
+    terminal: Terminal, level: VerdictLevel, reasons: Sequence[VerdictReason], next_steps: Sequence[str] = ()
+) -> None:
+    """The verdict, its reasons, and what to do next, one a line."""
     terminal.say(f"Verdict: {LEVEL_TEXTS[level]}", _STYLES[level])
     for reason in reasons:
         style = None if reason.level == "good" else _STYLES[reason.level]
         terminal.say(f"{_MARKS[reason.level]} {reason.about}: {reason.text}", style)
+    for text in next_steps:
+        terminal.say(f"next: {text}")
     terminal.say("")

@@ -95,7 +95,7 @@ class Config(ConfigRecord):
     contacts: Annotated[tuple[Contact, ...], AfterValidator(_unique_contacts)] = ()
     wrench_sensors: Annotated[tuple[WrenchSensor, ...], AfterValidator(_unique_sensors)] = ()
     pool: Pool | None = None
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0)] = 0
 
     _source: InputFile | None = PrivateAttr(default=None)
 
