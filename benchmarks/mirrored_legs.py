@@ -35,7 +35,7 @@ def silent(stage: str, share: float) -> None:
 
 def fit_coefficients(experiment: Experiment) -> Array:
     """Coefficients of a fit to one chirp."""
-    sets, _ = choose_sets(experiment.model.bodies, None)
+    sets = choose_sets(experiment.model.bodies, None)
     data = experiment.reduce(silent)
     regularization, equalities = experiment.config.regularization.fixed_or_weak(), experiment.equalities
     return estimate(experiment.equation, experiment.model.bodies, data, sets, regularization, equalities).theta

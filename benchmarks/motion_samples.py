@@ -86,7 +86,7 @@ class MotionSamples:
         reduction = self.reduction()
         if noise is None:
             noise = free_noise(equation, reduction)
-        sets, _ = choose_sets(bodies, "full")
+        sets = choose_sets(bodies, "full")
         return build_problem(equation, bodies, reduction, sets, WEAK_PRIOR, noise)
 
     def identify(self, noise: Array | None = None) -> tuple[Problem, Array]:

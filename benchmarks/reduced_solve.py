@@ -44,7 +44,7 @@ def problem_and_rows(experiment: Experiment) -> tuple[Problem, Array, Array]:
     equation, bodies = experiment.equation, experiment.model.bodies
     regularization = experiment.config.regularization.fixed_or_weak()
     reduction = reduced_log(experiment)
-    sets, _ = choose_sets(bodies, "ellipsoid")
+    sets = choose_sets(bodies, "ellipsoid")
     noise = free_noise(equation, reduction)
     problem = build_problem(equation, bodies, reduction, sets, regularization, noise)
 

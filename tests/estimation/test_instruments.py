@@ -64,7 +64,7 @@ def coarse(motion: Motion) -> JointLog:
 
 def least_squares(experiment: Experiment) -> Array:
     bodies, regularization = experiment.model.bodies, experiment.config.regularization
-    sets, _ = choose_sets(bodies, None)
+    sets = choose_sets(bodies, None)
     reduction = experiment.reduce(silent)
     return estimate(experiment.equation, bodies, reduction, sets, regularization, experiment.equalities).theta
 
@@ -73,7 +73,7 @@ def both(log: JointLog, controller: Controller | None) -> tuple[Array, TwoStage]
     """Least squares' coefficients, and what instruments make of them."""
     experiment = of(log, controller)
     theta = least_squares(experiment)
-    return theta, two_stage_estimate(experiment, choose_sets(experiment.model.bodies, None)[0], theta, silent)
+    return theta, two_stage_estimate(experiment, choose_sets(experiment.model.bodies, None), theta, silent)
 
 
 def in_units(experiment: Experiment, error: Array) -> Array:

@@ -73,7 +73,7 @@ def test_every_point_of_the_path_is_the_solvers_optimum(arm: Synthetic, kind: st
     tau = arm.noisy(0.1)
     path = path_of(arm, tau, kind=kind)
     total = blocks_of(arm, tau, 20).total
-    sets, _ = choose_sets(arm.model.bodies, None)
+    sets = choose_sets(arm.model.bodies, None)
     noise = free_noise(arm.linear, total, arm.equalities)
     unweighted = Regularization.model_validate({"kind": kind})
     for point in path.points[2::3]:
