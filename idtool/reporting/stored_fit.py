@@ -24,6 +24,10 @@ from idtool.robot.inertia import PI_SIZE
 REPORT, CONFIG = "report.json", "model.yaml"
 _MAX_BYTES = 64 << 20  # of a report; one of a robot with 24 bodies has half a MiB
 _MAX_VERSION_DIFFERENCES = 1000  # keys that another version has and this one lacks, or the other way round
+_MAX_ADAPTATIONS = (
+    3  # the report as it is, with None for what is missing, and with an empty collection where one must be
+)
+_EMPTY: dict[str, Any] = {"dict_type": {}, "tuple_type": [], "list_type": []}  # by the error of None in its place
 _OWN_KEYS = ("rms", "bodies", "solver")  # which the files of other commands do not have together
 
 
@@ -92,7 +96,7 @@ def _read_bytes(file: Path) -> bytes:
 
 
 def _parse_report(file: Path, data: bytes) -> FitReport:
-    """The report, without keys that only other versions have, and None for those that they lack."""
+    """The report, without keys that only other versions have; those that they lack are None or empty."""
     try:
         content = from_json(data, allow_inf_nan=False)
     except ValueError as error:
@@ -103,20 +107,19 @@ def _parse_report(file: Path, data: bytes) -> FitReport:
         raise ModelError(file, "has numbers that are not finite; fit again")
     if content.get("schema") != SCHEMA_VERSION:
         raise ModelError(file, "has another schema version; compare with the idtool that wrote it")
-    try:
-        return FitReport.model_validate(content)
-    except ValidationError as error:
-        if error.error_count() <= _MAX_VERSION_DIFFERENCES:
-            for difference in error.errors(include_url=False, include_input=False, include_context=False):
-                with suppress(KeyError, IndexError, TypeError):  # what is not adapted is refused below
-                    _adapt_key(content, difference)
-    try:
-        return FitReport.model_validate(content)
-    except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False, include_context=False)[0]
-        key = printable(".".join(map(str, first["loc"])))
-        what = f"is damaged, or of an idtool that differs too much ({key}: {first['msg']})"
-        raise ModelError(file, f"{what}; fit again") from None
+    for _ in range(_MAX_ADAPTATIONS):
+        try:
+            return FitReport.model_validate(content)
+        except ValidationError as error:
+            differences = error.errors(include_url=False, include_input=False, include_context=False)
+        if len(differences) > _MAX_VERSION_DIFFERENCES:
+            break
+        for difference in differences:
+            with suppress(KeyError, IndexError, TypeError):  # what is not adapted is refused below
+                _adapt_key(content, difference)
+    key = printable(".".join(map(str, differences[0]["loc"])))
+    what = f"is damaged, or of an idtool that differs too much ({key}: {differences[0]['msg']})"
+    raise ModelError(file, f"{what}; fit again")
 
 
 def _check_consistency(file: Path, report: FitReport) -> None:
@@ -145,11 +148,14 @@ def _is_finite(content: Any) -> bool:
 
 
 def _adapt_key(content: Any, difference: ErrorDetails) -> None:
-    """Remove a key that is unknown, or add None for one that is missing."""
+    """Remove a key that is unknown; add None for one that is missing, and replace it if it has to be a collection."""
     *parents, key = difference["loc"]
     for parent in parents:
         content = content[parent]
-    if difference["type"] == "extra_forbidden":
+    kind = difference["type"]
+    if kind == "extra_forbidden":
         del content[key]
-    elif difference["type"] == "missing":
+    elif kind == "missing":
         content[key] = None
+    elif kind in _EMPTY and content[key] is None:
+        content[key] = _EMPTY[kind]

@@ -101,10 +101,14 @@ def test_keys_of_other_versions_do_not_matter(content: dict[str, Any], tmp_path:
         data["of_a_later_version"] = {"some": ["thing"]}
         data["bodies"]["shank_link"]["colour"] = "red"
         del data["noise_floor"]
+        del data["controller_gains"]
+        del data["effects"]
         del data["bodies"]["shank_link"]["split"]
 
     report = read_fit(changed(content, change, tmp_path)).report
     assert report.noise_floor is None
+    assert dict(report.controller_gains) == {}
+    assert report.effects == ()
     assert report.bodies["shank_link"].split is None
     assert report.bodies["shank_link"].mass == content["bodies"]["shank_link"]["mass"]
 
