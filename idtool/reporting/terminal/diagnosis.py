@@ -21,25 +21,29 @@ from idtool.reporting.sections.diagnosis import (
     StepsSection,
     score_text,
 )
-from idtool.reporting.terminal.base import STYLE, Terminal
+from idtool.reporting.terminal.output import STYLE, Output
 
 _STYLES = {"explained": "bold green", "no_disagreement": "bold green", "unexplained": STYLE["problem"]}
 _MODEL_FILES = ("identified.urdf", "model.yaml")
 
 
 def show_diagnosis(
-    terminal: Terminal, report: DiagnosisReport, folder: Path, files: Sequence[str], explain: bool
+    terminal: Output,
+    report: DiagnosisReport,
+    folder: Path | None = None,
+    files: Sequence[str] = (),
+    explain: bool = False,
 ) -> None:
     """The verdict, what was found and how sure it is, errors before and after, and what to do next.
 
     Parameters
     ----------
     terminal
-        Terminal that is written to.
+        The terminal, or a notebook.
     report
         The content of diagnosis.json.
     folder, files
-        Files that were written.
+        Files that were written; None: there are none.
     explain
         True to list the rejected candidates with reasons.
     """
@@ -61,13 +65,19 @@ def show_diagnosis(
     for text in report.next:
         terminal.say(f"next: {text}")
     terminal.notices(report.further_notices)
+    if folder is not None:
+        _show_files(terminal, folder, files)
+
+
+def _show_files(terminal: Output, folder: Path, files: Sequence[str]) -> None:
+    """Print the files that were written, and those of an earlier run beside them."""
     terminal.say(f"written: {folder}/{', '.join(files)}")
     older = [name for name in _MODEL_FILES if name not in files and (folder / name).exists()]
     if older:
         terminal.say(f"warning: not of this run, but of an earlier one: {', '.join(older)}", STYLE["warning"])
 
 
-def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
+def _show_steps(terminal: Output, report: DiagnosisReport) -> None:
     """Print the table of the steps, and a sentence for each below."""
     terminal.sections([StepsSection()], report)
     for i, step in enumerate(report.steps, 1):
@@ -78,7 +88,7 @@ def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
         terminal.say("")
 
 
-def _show_step(terminal: Terminal, index: int, step: StepReport, report: DiagnosisReport) -> None:
+def _show_step(terminal: Output, index: int, step: StepReport, report: DiagnosisReport) -> None:
     """Print a step as a sentence, and what speaks against it in colour."""
     evidence = step.evidence
     terminal.say(
@@ -97,7 +107,7 @@ def _show_step(terminal: Terminal, index: int, step: StepReport, report: Diagnos
         terminal.say(f"   {worse_motion_sentence(step, report)}", STYLE["problem"])
 
 
-def _show_errors(terminal: Terminal, report: DiagnosisReport) -> None:
+def _show_errors(terminal: Output, report: DiagnosisReport) -> None:
     """Print the errors by joint, before, after and at the noise floor."""
     terminal.sections([ErrorsBeforeAfterSection()], report)
     if "overall" in report.rollout_worse:
@@ -108,7 +118,7 @@ def _show_errors(terminal: Terminal, report: DiagnosisReport) -> None:
         )
 
 
-def _show_rejected(terminal: Terminal, steps: Sequence[StepReport]) -> None:
+def _show_rejected(terminal: Output, steps: Sequence[StepReport]) -> None:
     """Print the reason why each candidate was rejected."""
     for i, step in enumerate(steps, 1):
         terminal.sections([CandidatesSection(f"Step {i}: tried and lost")], step)
