@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from idtool.api.data import Logs, call_text, changed_options, load_experiment
 from idtool.api.model import Model, Source
+from idtool.api.notebook import Displayable, shows_progress
 from idtool.api.results import Progress, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.number_text import number, short_number
 from idtool.common.outputs import as_json
 from idtool.reporting.adaptation_report import adaptation_report
 from idtool.reporting.results.adaptation import AdaptationReport
 
+if TYPE_CHECKING:
+    from idtool.reporting.terminal.output import Output
 
-class AdaptationResult(AdaptationReport, SavableResult):
+
+class AdaptationResult(AdaptationReport, SavableResult, Displayable):
     """Parameters identified online, over time; its fields are those of adapt.json."""
 
     _made_by: str
@@ -22,6 +27,11 @@ class AdaptationResult(AdaptationReport, SavableResult):
         from idtool.reporting.pages.adapt import adapt_page
 
         return {"adapt.json": as_json(self.to_json()), "adapt.html": adapt_page(self, made_by)}
+
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.adapt import show_adaptation
+
+        show_adaptation(output, self)
 
     def __repr__(self) -> str:
         title = f"AdaptationResult: {self.samples} updates at {short_number(self.update_hz, 4)} Hz"
@@ -34,6 +44,7 @@ class AdaptationResult(AdaptationReport, SavableResult):
         return "\n".join(lines)
 
 
+@shows_progress
 def adapt(
     model: Model | Source, logs: Logs, *, forgetting: float = 20.0, progress: Progress | None = None
 ) -> AdaptationResult:

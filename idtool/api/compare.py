@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from idtool.api.notebook import Displayable
 from idtool.api.results import SavableResult, notice_lines, table_lines
 from idtool.common.outputs import as_json
 from idtool.reporting.compare_report import compare_report
@@ -15,11 +16,12 @@ from idtool.reporting.stored_fit import StoredFit, read_fit
 
 if TYPE_CHECKING:
     from idtool.api.fit import FitResult
+    from idtool.reporting.terminal.output import Output
 
     FitSource = FitResult | str | os.PathLike[str]
 
 
-class ComparisonResult(ComparisonReport, SavableResult):
+class ComparisonResult(ComparisonReport, SavableResult, Displayable):
     """Comparison of two results of a fit. The fields are those of comparison.json."""
 
     _made_by: str
@@ -28,6 +30,11 @@ class ComparisonResult(ComparisonReport, SavableResult):
         from idtool.reporting.pages.compare import comparison_page
 
         return {"comparison.json": as_json(self.to_json()), "comparison.html": comparison_page(self, made_by)}
+
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.compare import show_comparison
+
+        show_comparison(output, self)
 
     def __repr__(self) -> str:
         lines = [f"ComparisonResult: {self.summary}"]

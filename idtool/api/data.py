@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from inspect import unwrap
 from pathlib import Path
 from typing import Any
 
@@ -440,7 +441,7 @@ def call_text(function: str, model: Model | Source, logs: Logs, **options: Any) 
 
 def changed_options(function: Callable[..., Any], **options: Any) -> dict[str, Any]:
     """The options of a function that are not at their default."""
-    defaults = function.__kwdefaults__ or {}
+    defaults = unwrap(function).__kwdefaults__ or {}
     return {name: value for name, value in options.items() if value != defaults[name]}
 
 

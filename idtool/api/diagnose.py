@@ -22,6 +22,7 @@ from idtool.api.distribution import open_distribution
 from idtool.api.effect_arguments import EffectAssumption, check_assumptions, parse_assumption, parse_candidates
 from idtool.api.log import Log
 from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, as_model, identified_urdf_text
+from idtool.api.notebook import Displayable, shows_progress
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import printable, without_secrets
@@ -43,9 +44,10 @@ if TYPE_CHECKING:
 
     from idtool.api.results import RecordingData
     from idtool.diagnosis.diagnose import Options
+    from idtool.reporting.terminal.output import Output
 
 
-class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
+class DiagnosisResult(DiagnosisReport, SavableResult, Recordable, Displayable):
     """Diagnosis of a model: the effects that it lacks. The fields are those of diagnosis.json."""
 
     _diagnosis: Diagnosis
@@ -97,6 +99,11 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
 
         return stack_figures(gap_figures(self)).to_plotly()
 
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.diagnosis import show_diagnosis
+
+        show_diagnosis(output, self)
+
     def __repr__(self) -> str:
         before = self.before.torque
         after = self.after.torque
@@ -116,6 +123,7 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable):
         return "\n".join(lines)
 
 
+@shows_progress
 def diagnose(
     model: Model | Source,
     logs: Logs,

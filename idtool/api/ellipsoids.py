@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from idtool.api.model import Model, Source, as_model
+from idtool.api.notebook import Displayable
 from idtool.api.results import notice_lines, table_lines
 from idtool.common.notice import Notice
 from idtool.common.number_text import number
@@ -16,8 +18,11 @@ from idtool.reporting.results.base import LinkEllipsoid, notice_fields
 from idtool.reporting.results.ellipsoids import CheckReport, EllipsoidsReport
 from idtool.robot.bounding import bounding_ellipsoids
 
+if TYPE_CHECKING:
+    from idtool.reporting.terminal.output import Output
 
-class EllipsoidsResult(EllipsoidsReport):
+
+class EllipsoidsResult(EllipsoidsReport, Displayable):
     """Bounding ellipsoids of a robot's links."""
 
     _header: str
@@ -34,12 +39,16 @@ class EllipsoidsResult(EllipsoidsReport):
         write_all(path.parent, {path.name: self.yaml})
         return path
 
+    def _show(self, output: Output) -> None:
+        output.say(self.yaml.rstrip())
+        output.notices(self.notices)
+
     def __repr__(self) -> str:
         title = f"EllipsoidsResult: {', '.join(self.bounding_ellipsoids)}"
         return "\n".join([title, *notice_lines(self.notices)])
 
 
-class CheckResult(CheckReport):
+class CheckResult(CheckReport, Displayable):
     """Result of the check: the links whose inertia is not physically realizable."""
 
     _repaired: bytes
@@ -55,6 +64,11 @@ class CheckResult(CheckReport):
         check_file(path, [])
         write_all(path.parent, {path.name: self._repaired})
         return path
+
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.check import show_check
+
+        show_check(output, self, None)
 
     def __repr__(self) -> str:
         rows = []

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from idtool.api.data import as_list
 from idtool.api.explanations import find_explanations, parse_alternatives
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
+from idtool.api.notebook import Displayable, shows_progress
 from idtool.api.results import Progress, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.interrupt import delay_interrupt
@@ -48,6 +49,9 @@ from idtool.robot.config import Base, Config
 from idtool.robot.model import build_model
 from idtool.robot.urdf.reading import Robot
 
+if TYPE_CHECKING:
+    from idtool.reporting.terminal.output import Output
+
 LOG_NAME = "excitation.mcap"  # what the log is called in a folder
 CRITERIA = ("d", "a", "e", "condition")
 ALL_JOINTS = ""  # in place of a joint: all joints
@@ -58,7 +62,7 @@ _MIN_FRICTION, _MAX_FRICTION = 0.05, 2.0
 _MAX_SOLE = 2.0  # m
 
 
-class ExcitationResult(ExcitationReport):
+class ExcitationResult(ExcitationReport, Displayable):
     """A designed trajectory and the expected standard errors of a fit to it."""
 
     _design: Design
@@ -98,6 +102,11 @@ class ExcitationResult(ExcitationReport):
             write_log(path, self._design.log(path))
         return path, path.with_suffix(".html")
 
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.excite import show_excitation
+
+        show_excitation(output, self)
+
     def __repr__(self) -> str:
         title = f"ExcitationResult: {self.duration:g} s at {self.rate_hz:g} Hz"
         rows = []
@@ -109,6 +118,7 @@ class ExcitationResult(ExcitationReport):
         return "\n".join(lines)
 
 
+@shows_progress
 def excite(
     model: Model | Source,
     *,

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
+from idtool.api.notebook import Displayable
 from idtool.api.results import notice_lines
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.notice import Notice
@@ -17,11 +18,14 @@ from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.diagnosis import AgainstReport, ChangeReport
 from idtool.reporting.results.export import ExportedPart, ExportReport
 
+if TYPE_CHECKING:
+    from idtool.reporting.terminal.output import Output
+
 Simulator = Literal["mujoco", "drake"]
 DIAGNOSIS = "diagnosis.json"
 
 
-class ExportResult(ExportReport):
+class ExportResult(ExportReport, Displayable):
     """The identified model as a simulator file, and the parts of the model that the file cannot represent."""
 
     _text: bytes
@@ -65,6 +69,11 @@ class ExportResult(ExportReport):
     def leaves(self, file: Path) -> bool:
         """True if `save` leaves a file as it is: a copy without a change would replace what was written earlier."""
         return self.patched is not None and not self.carried and file.exists()
+
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.export import show_export
+
+        show_export(output, self)
 
     def __repr__(self) -> str:
         kinds = dict.fromkeys(part.what for part in self.carried)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from idtool.api.data import Logs, call_text, changed_options, load_experiment
 from idtool.api.distribution import Distribution, open_distribution
 from idtool.api.model import IDENTIFIED_URDF, MODEL_YAML, Model, Source, as_model, identified_urdf_text
+from idtool.api.notebook import Displayable, shows_progress
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.number_text import number, short_number
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from idtool.api.results import RecordingData
     from idtool.common.notice import Notice
     from idtool.diagnosis.records import ProfilesByJoint
+    from idtool.reporting.terminal.output import Output
 
 _UNCORRECTABLE_FAULTS = ("wrong_unit", "wrong_sign", "wrong_joint_order", "clipped", "wrapped_position")
 ROBOTS = "robots"  # folder with a folder for the model of each robot of a fleet
@@ -42,7 +44,7 @@ _MAX_MASSES = 6  # in a result's repr
 _NOISE_SAMPLE = 30.0  # s of the training data, from which the noise floor is estimated
 
 
-class FitResult(FitReport, SavableResult, Recordable):
+class FitResult(FitReport, SavableResult, Recordable, Displayable):
     """An identified model and its errors and uncertainty. The fields are those of report.json."""
 
     _fit: Fit
@@ -89,6 +91,11 @@ class FitResult(FitReport, SavableResult, Recordable):
 
         return torque_figures(self._fit.evaluation, "identified", self.units).groups[log].to_plotly()
 
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.fit import show_fit
+
+        show_fit(output, self)
+
     def __repr__(self) -> str:
         units = units_text(self.units)
         data = "the fitted data" if self.rms.validation is None else "held-out data"
@@ -129,6 +136,7 @@ def _model_files(fit: Fit, folder: Path) -> dict[str, str | bytes]:
     }
 
 
+@shows_progress
 def fit(
     model: Model | Source,
     logs: Logs,

@@ -7,8 +7,10 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from idtool.api.model import Source
+from idtool.api.notebook import Displayable, shows_progress
 from idtool.api.results import Progress, ignore_progress, notice_lines
 from idtool.common.names import stem
 from idtool.common.outputs import OutputError, check_file, write_all
@@ -20,8 +22,11 @@ from idtool.reporting.results.setup import InitReport, StartErrors, TodoReport, 
 from idtool.robot.config.schema import SCHEMA_FILE, config_schema
 from idtool.setup import InitialConfig, make_initial_config
 
+if TYPE_CHECKING:
+    from idtool.reporting.terminal.output import Output
 
-class InitResult(InitReport):
+
+class InitResult(InitReport, Displayable):
     """A first configuration; its fields are those that `idtool init --json` prints."""
 
     _text: str
@@ -53,6 +58,11 @@ class InitResult(InitReport):
         write_all(file.parent, {file.name: self._text, SCHEMA_FILE: config_schema()})
         return file
 
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.init import show_initial_config
+
+        show_initial_config(output, self, is_written=False)
+
     def __repr__(self) -> str:
         lines = [f"InitResult {self.file}"]
         lines += [f"  {finding}" for finding in self.found]
@@ -61,6 +71,7 @@ class InitResult(InitReport):
         return "\n".join(lines)
 
 
+@shows_progress
 def init(
     urdf: Source,
     logs: Source | Sequence[Source] = (),

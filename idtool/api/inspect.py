@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from idtool.api.data import LogSource
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, load_settings
+from idtool.api.notebook import Displayable
 from idtool.api.results import notice_lines
 from idtool.common.exceptions import IdtoolError
 from idtool.common.notice import Notice
@@ -26,9 +27,17 @@ from idtool.reporting.results.inspection import InspectionReport
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import read_robot
 
+if TYPE_CHECKING:
+    from idtool.reporting.terminal.output import Output
 
-class InspectionResult(InspectionReport):
+
+class InspectionResult(InspectionReport, Displayable):
     """Inspection of a log: its contents and its faults. The fields are what `idtool inspect --json` prints."""
+
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.inspection import show_inspection
+
+        show_inspection(output, self)
 
     def __repr__(self) -> str:
         joints = ", ".join(self.joints)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from idtool.api.data import DEFAULT_HOLDOUT, Logs, load_experiment
 from idtool.api.distribution import Distribution, open_distribution
 from idtool.api.model import Model, Source, as_model
+from idtool.api.notebook import Displayable, shows_progress
 from idtool.api.results import Progress, ignore_progress, notice_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.input_files import REDUCTION_SUFFIX
@@ -19,9 +21,17 @@ from idtool.estimation.saved_reduction import SavedReduction, write_reduction
 from idtool.reporting.results.base import notice_fields
 from idtool.reporting.results.reduction import ReducedLogReport, ReductionReport
 
+if TYPE_CHECKING:
+    from idtool.reporting.terminal.output import Output
 
-class ReductionResult(ReductionReport):
+
+class ReductionResult(ReductionReport, Displayable):
     """Reduced logs and the file that holds them. The fields are those of `idtool reduce --json`."""
+
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.reduction import show_reduction
+
+        show_reduction(output, self)
 
     def __repr__(self) -> str:
         train = sum(log.train for log in self.logs)
@@ -31,6 +41,7 @@ class ReductionResult(ReductionReport):
         return "\n".join([head, *notice_lines(self.notices)])
 
 
+@shows_progress
 def reduce(
     model: Model | Source,
     logs: Logs,

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from idtool.api.notebook import Displayable
 from idtool.common.outputs import OutputError, check_folder, write_all
 from idtool.common.samples import FOLDER, SampleName, find_sample
 from idtool.reporting.results.sample import SampleReport
 
+if TYPE_CHECKING:
+    from idtool.reporting.terminal.output import Output
 
-class SampleResult(SampleReport):
+
+class SampleResult(SampleReport, Displayable):
     """Robots, configurations and logs that were written."""
+
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.sample import show_sample
+
+        show_sample(output, self)
 
     def __repr__(self) -> str:
         return "\n".join([f"SampleResult {self.sample}", *(f"  {file}" for file in self.files)])

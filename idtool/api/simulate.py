@@ -15,6 +15,7 @@ import numpy as np
 from idtool.api.data import LogSource, load_experiment
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
+from idtool.api.notebook import Displayable, shows_progress
 from idtool.api.results import Progress, Recordable, ignore_progress, notice_lines, table_lines
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
@@ -40,13 +41,14 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
     from idtool.api.results import RecordingData
+    from idtool.reporting.terminal.output import Output
 
 LOG_NAME = "simulated.mcap"  # what the log is called in a folder
 _MOST_OF_LOG = 0.95  # of its time: what is not simulated beside this is needed by filters
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulationResult(Recordable):
+class SimulationResult(Recordable, Displayable):
     """Result of a simulation.
 
     Attributes
@@ -62,6 +64,7 @@ class SimulationResult(Recordable):
     _model: RobotModel
     _measured: Array
     _source: Path
+    _tracks: bool
 
     @property
     def rmse(self) -> MotionRmse:
@@ -155,6 +158,11 @@ class SimulationResult(Recordable):
         curves = {"measured": self._measured.T, "simulated": self.log.q.T}
         return motion_figures(self.log.t, curves, self.report.units).to_plotly()
 
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.simulation import show_simulated_log
+
+        show_simulated_log(output, self.report, self._tracks)
+
     def __repr__(self) -> str:
         kinds = dict.fromkeys(self.report.units.values())
         position_unit = " or ".join(kinds)
@@ -174,6 +182,7 @@ class SimulationResult(Recordable):
         return "\n".join(lines)
 
 
+@shows_progress
 def simulate(
     model: Model | Source,
     log: LogSource,
@@ -228,7 +237,7 @@ def simulate(
     simulated = simulated_log(experiment, theta, used_window, Path(LOG_NAME), report_progress)
     report = _report(experiment, simulated, time.monotonic() - start)
     source = experiment.runs[0].signals.log.path
-    return SimulationResult(Log.from_record(simulated.log), report, experiment.model, simulated.measured, source)
+    return SimulationResult(Log.from_record(simulated.log), report, experiment.model, simulated.measured, source, track)
 
 
 def _check_options(settings: Config, window: float | None, closed_loop: bool, track: bool) -> None:

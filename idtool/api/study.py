@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from idtool.api.data import Logs, call_text, changed_options, load_experiment
 from idtool.api.distribution import open_distribution
 from idtool.api.model import Model, Source
+from idtool.api.notebook import Displayable, shows_progress
 from idtool.api.results import Progress, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.number_text import number
@@ -18,10 +20,13 @@ from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.reporting.results.study import StudyReport
 from idtool.reporting.study_report import study_report
 
+if TYPE_CHECKING:
+    from idtool.reporting.terminal.output import Output
+
 _MIN_DRAWS = 5
 
 
-class StudyResult(StudyReport, SavableResult):
+class StudyResult(StudyReport, SavableResult, Displayable):
     """Comparison of all constraint sets, priors and estimators. The fields are those of study.json."""
 
     _validation: Evaluation
@@ -31,6 +36,11 @@ class StudyResult(StudyReport, SavableResult):
         from idtool.reporting.pages.study import study_page
 
         return {"study.json": as_json(self.to_json()), "study.html": study_page(self._validation, self, made_by)}
+
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.study import show_study
+
+        show_study(output, self)
 
     def __repr__(self) -> str:
         units = units_text(self.units)
@@ -46,6 +56,7 @@ class StudyResult(StudyReport, SavableResult):
         return "\n".join(lines)
 
 
+@shows_progress
 def study(
     model: Model | Source,
     logs: Logs,

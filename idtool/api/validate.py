@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from idtool.api.data import Logs, call_text, changed_options, load_experiment
 from idtool.api.distribution import open_distribution
 from idtool.api.model import Model, Source, as_model
+from idtool.api.notebook import Displayable, shows_progress
 from idtool.api.results import Progress, Recordable, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ConfigError
@@ -34,9 +35,10 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
     from idtool.api.results import RecordingData
+    from idtool.reporting.terminal.output import Output
 
 
-class ValidationResult(ValidationReport, SavableResult, Recordable):
+class ValidationResult(ValidationReport, SavableResult, Recordable, Displayable):
     """Validation of a model on logs. The fields are those of validation.json."""
 
     _model: RobotModel
@@ -75,6 +77,11 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
 
         return torque_figures(self._evaluation, "model", self.units).groups[log].to_plotly()
 
+    def _show(self, output: Output) -> None:
+        from idtool.reporting.terminal.validation import show_validation
+
+        show_validation(output, self)
+
     def __repr__(self) -> str:
         units = units_text(self.units)
         prior = self.rms.prior
@@ -107,6 +114,7 @@ class ValidationResult(ValidationReport, SavableResult, Recordable):
         return bound if self.ok[name] else f"{bound} (not met)"
 
 
+@shows_progress
 def validate(
     model: Model | Source,
     logs: Logs,

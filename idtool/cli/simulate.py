@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -21,13 +21,6 @@ from idtool.cli.options import (
     output_folder,
     require_log,
 )
-from idtool.common.number_text import short_number
-from idtool.common.units import units_text
-
-if TYPE_CHECKING:
-    from idtool.reporting.results.simulation import SimulationReport
-    from idtool.reporting.terminal import Terminal
-
 
 LogArgument = Annotated[
     Path | None,
@@ -85,6 +78,7 @@ def simulate_command(
     from idtool.api.simulate import LOG_NAME, simulate
     from idtool.data.logs import check_log_file
     from idtool.reporting.terminal import Terminal
+    from idtool.reporting.terminal.simulation import show_simulated_log
 
     terminal = Terminal(quiet, as_json)
     file = output_file(out, LOG_NAME) if out else output_folder(urdf, None) / LOG_NAME
@@ -97,18 +91,5 @@ def simulate_command(
         if rerun:
             result.rerun(rerun)
     report = result.report.model_copy(update={"file": str(file)})
-    _show_simulation(terminal, report, "trajectory" if track else "measured positions")
+    show_simulated_log(terminal, report, track)
     finish(terminal, report, {})
-
-
-def _show_simulation(terminal: Terminal, report: SimulationReport, measured: str) -> None:
-    """Print the kind of simulation, its distance from ``measured``, the notices, and the file."""
-    loop = "closed loop under the controller" if report.kind == "closed_loop" else "open loop under the logged torque"
-    restarts = "never restarted" if report.window is None else f"{report.window:g} s at a time"
-    terminal.say(f"{loop}, {restarts}: {short_number(report.seconds)} s simulated in {report.wall_seconds:.1f} s")
-    if position := report.rmse.position:
-        units = units_text(report.units)
-        joints = ", ".join(f"{name} {short_number(position[name])}" for name in report.joints)
-        terminal.say(f"{short_number(position['overall'])} {units} RMS from the {measured}: {joints}")
-    terminal.notices(report.notices)
-    terminal.say(f"written: {report.file}")

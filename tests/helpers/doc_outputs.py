@@ -11,7 +11,7 @@ LEFT_OUT = "…"  # a line that stands for lines which the page leaves out
 
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?(?![\w])")
 _NEAR = 0.1  # of a number; standard errors and errors of rollouts differ from machine to machine
-_TIMES = re.compile(r"simulated in .*")
+_TIMES = re.compile(r"simulated in .*|duality gap of \S+")
 
 
 def check_output(shown: str, said: str, where: str) -> None:

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import io
-import itertools
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, TextIO, TypeVar
+from typing import Any, TextIO
 
 from rich.console import Console
 from rich.text import Text
+from typing_extensions import override
 
 from idtool.common.interrupt import restore_keyboard_interrupt
 from idtool.common.memory import resume_garbage_collection
-from idtool.reporting.results.base import NoticeReport
-from idtool.reporting.sections.base import Section, Table
-from idtool.reporting.terminal.layout import STYLE, printable, table_lines
+from idtool.reporting.sections.base import Table
+from idtool.reporting.terminal.layout import table_lines
+from idtool.reporting.terminal.output import STYLE, Output, printable
 from idtool.reporting.terminal.progress import progress_bar
 
 _UNLIMITED_WIDTH = 100_000  # characters: what is read by a program has lines as long as they need
 __all__ = ["STYLE", "Terminal"]
 
-R = TypeVar("R")
 
-
-class Terminal:
+class Terminal(Output):
     """Output of a command.
 
     Parameters
@@ -43,36 +41,19 @@ class Terminal:
         self.console = _console(quiet, sys.stderr if as_json else sys.stdout)
         self.errors = _console(quiet, sys.stderr)
 
+    @override
     def say(self, text: str, style: str | None = None) -> None:
         """Print plain text, usually one line, which the terminal may wrap."""
         lines = (printable(line) for line in text.split("\n"))
         self.console.print(Text("\n".join(lines)), style=style, soft_wrap=True)
 
+    @override
     def show(self, table: Table) -> None:
         """Print a table under its title, which may be wider than the table."""
         self.say(table.title, "bold")
         for line in table_lines(table.in_terminal(), self.console.width):
             self.console.print(line, soft_wrap=True)
         self.say("")
-
-    def sections(self, sections: Sequence[Section[R]], report: R) -> None:
-        """Print the tables of those sections of which the report holds something."""
-        for section in sections:
-            table = section.table(report)
-            if table is not None:
-                self.show(table)
-
-    def notices(self, notices: Sequence[NoticeReport]) -> None:
-        """Print notices, and below those with the same advice, the advice."""
-        for advice, alike in itertools.groupby(notices, key=lambda notice: notice.advice):
-            for (severity, message), same in itertools.groupby(
-                alike, key=lambda notice: (notice.severity, notice.message)
-            ):
-                subjects = [notice.subject for notice in same if notice.subject]
-                sentence = f"{', '.join(subjects)}: {message}" if subjects else message
-                self.say(f"{severity}: {sentence}", STYLE[severity])
-            if advice:
-                self.say(f"    {advice}")
 
     def result(self, result: Mapping[str, Any]) -> None:
         """Print the result as JSON if it was asked for."""
@@ -85,11 +66,6 @@ class Terminal:
         restore_keyboard_interrupt()  # heavy modules are loaded
         with progress_bar(self.errors) as update:
             yield update
-
-
-def _kind_of(notice: NoticeReport) -> tuple[str, str]:
-    """Severity and message, which notices of several subjects may share."""
-    return notice.severity, notice.message
 
 
 def _console(quiet: bool, file: TextIO) -> Console:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from idtool.reporting.results.ellipsoids import CheckReport
 from idtool.reporting.sections.check import LinksSection
-from idtool.reporting.terminal.base import STYLE, Terminal
+from idtool.reporting.terminal.output import STYLE, Output
 
 
-def show_check(terminal: Terminal, report: CheckReport, repair: Path | None) -> None:
+def show_check(terminal: Output, report: CheckReport, repair: Path | None) -> None:
     """Print the links whose inertia no body can have, and the repaired file."""
     terminal.sections([LinksSection()], report)
     for name, link in report.links.items():

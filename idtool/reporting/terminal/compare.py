@@ -15,7 +15,7 @@ from idtool.reporting.sections.compare import (
     ComparedRolloutsSection,
     SettingsSection,
 )
-from idtool.reporting.terminal.base import STYLE, Terminal
+from idtool.reporting.terminal.output import STYLE, Output
 
 _STYLES: dict[Answer, str] = {"agree": STYLE["good"], "differ": STYLE["warning"], "unknown": STYLE["warning"]}
 _SECTIONS = (
@@ -30,11 +30,12 @@ _SECTIONS = (
 )
 
 
-def show_comparison(terminal: Terminal, report: ComparisonReport, folder: Path) -> None:
-    """The answer, the two results side by side, and where the files are."""
+def show_comparison(terminal: Output, report: ComparisonReport, folder: Path | None = None) -> None:
+    """The answer, the two results side by side, and where the files are, if any were written."""
     terminal.say(f"{report.summary}\n", _STYLES[report.answer])
     terminal.sections(_SECTIONS, report)
     if not report.settings:
         terminal.say("settings, files and versions: the same\n")
     terminal.notices(report.notices)
-    terminal.say(f"written: {folder}/comparison.json, comparison.html")
+    if folder is not None:
+        terminal.say(f"written: {folder}/comparison.json, comparison.html")

@@ -22,25 +22,29 @@ from idtool.reporting.sections.diagnosis import (
     StepsSection,
     score_text,
 )
-from idtool.reporting.terminal.base import STYLE, Terminal
+from idtool.reporting.terminal.output import STYLE, Output
 from idtool.reporting.terminal.verdict import show_verdict
 
 _MODEL_FILES = ("identified.urdf", "model.yaml")
 
 
 def show_diagnosis(
-    terminal: Terminal, report: DiagnosisReport, folder: Path, files: Sequence[str], explain: bool
+    terminal: Output,
+    report: DiagnosisReport,
+    folder: Path | None = None,
+    files: Sequence[str] = (),
+    explain: bool = False,
 ) -> None:
     """The verdict, what was found and how sure it is, errors before and after, and what to do next.
 
     Parameters
     ----------
     terminal
-        Terminal that is written to.
+        The terminal, or a notebook.
     report
         The content of diagnosis.json.
     folder, files
-        Files that were written.
+        Files that were written; None: there are none.
     explain
         True to list the rejected candidates with reasons.
     """
@@ -55,13 +59,19 @@ def show_diagnosis(
         terminal.say("")
         terminal.sections([ChangesSection(), SimulatorGapSection()], report)
     terminal.notices(report.further_notices)
+    if folder is not None:
+        _show_files(terminal, folder, files)
+
+
+def _show_files(terminal: Output, folder: Path, files: Sequence[str]) -> None:
+    """Print the files that were written, and those of an earlier run beside them."""
     terminal.say(f"written: {folder}/{', '.join(files)}")
     older = [name for name in _MODEL_FILES if name not in files and (folder / name).exists()]
     if older:
         terminal.say(f"warning: not of this run, but of an earlier one: {', '.join(older)}", STYLE["warning"])
 
 
-def _show_data_faults(terminal: Terminal, report: DiagnosisReport) -> None:
+def _show_data_faults(terminal: Output, report: DiagnosisReport) -> None:
     """Print the faults of the data that the verdict does not name, those first that idtool does not correct."""
     for fault in report.lesser_faults:
         on_joint = f"{fault.joint}: " if fault.joint else ""
@@ -74,7 +84,7 @@ def _show_data_faults(terminal: Terminal, report: DiagnosisReport) -> None:
         terminal.say("")
 
 
-def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
+def _show_steps(terminal: Output, report: DiagnosisReport) -> None:
     """Print the table of the steps, and a sentence for each below."""
     terminal.sections([StepsSection()], report)
     for i, step in enumerate(report.steps, 1):
@@ -85,7 +95,7 @@ def _show_steps(terminal: Terminal, report: DiagnosisReport) -> None:
         terminal.say("")
 
 
-def _show_step(terminal: Terminal, index: int, step: StepReport, report: DiagnosisReport) -> None:
+def _show_step(terminal: Output, index: int, step: StepReport, report: DiagnosisReport) -> None:
     """Print a step as a sentence, and what speaks against it in colour."""
     evidence = step.evidence
     terminal.say(
@@ -104,12 +114,12 @@ def _show_step(terminal: Terminal, index: int, step: StepReport, report: Diagnos
         terminal.say(f"   {worse_motion_sentence(step, report)}", STYLE["problem"])
 
 
-def _show_errors(terminal: Terminal, report: DiagnosisReport) -> None:
+def _show_errors(terminal: Output, report: DiagnosisReport) -> None:
     """Print the errors by joint, before, after and at the noise floor."""
     terminal.sections([ErrorsBeforeAfterSection()], report)
 
 
-def _show_rejected(terminal: Terminal, steps: Sequence[StepReport]) -> None:
+def _show_rejected(terminal: Output, steps: Sequence[StepReport]) -> None:
     """Print the reason why each candidate was rejected."""
     for i, step in enumerate(steps, 1):
         terminal.sections([CandidatesSection(f"Step {i}: tried and lost")], step)

@@ -15,10 +15,10 @@ from idtool.reporting.sections.excite import (
     decision_sentence,
     ground_sentence,
 )
-from idtool.reporting.terminal.base import Terminal
+from idtool.reporting.terminal.output import Output
 
 
-def show_excitation(terminal: Terminal, report: ExcitationReport) -> None:
+def show_excitation(terminal: Output, report: ExcitationReport) -> None:
     """The errors to expect, the limits, and where the files are."""
     sections = [ExpectedErrorsSection(), LimitsSection(), GroundSection(), CriteriaSection(), DecisionSection()]
     terminal.sections(sections, report)

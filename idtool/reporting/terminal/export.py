@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from idtool.reporting.results.export import ExportedPart, ExportReport
-from idtool.reporting.terminal.base import Terminal
+from idtool.reporting.terminal.output import Output
 
 
-def show_export(terminal: Terminal, report: ExportReport, left: Path | None = None) -> None:
+def show_export(terminal: Output, report: ExportReport, left: Path | None = None) -> None:
     """Print the parts in the file, one line for each kind, and those that are missing, alike ones on one line.
 
     Of a patched file every change has a line of its own.
@@ -16,7 +16,7 @@ def show_export(terminal: Terminal, report: ExportReport, left: Path | None = No
     Parameters
     ----------
     terminal
-        Terminal that is written to.
+        The terminal, or a notebook.
     report
         The result.
     left
@@ -38,5 +38,8 @@ def show_export(terminal: Terminal, report: ExportReport, left: Path | None = No
         bound = "up to " if len(sizes) > 1 else ""
         size = ", {}{:.3g} {}".format(bound, *max(sizes)) if sizes and report.patched is None else ""
         terminal.say(f"not exported: {what} of {', '.join(part.of for part in parts)}: {detail}{size}", "yellow")
-    terminal.say(f"not written: {left} is left as it was" if left else f"written: {report.file}")
+    if left is not None:
+        terminal.say(f"not written: {left} is left as it was")
+    elif report.file is not None:
+        terminal.say(f"written: {report.file}")
     terminal.notices(report.notices)

@@ -18,13 +18,13 @@ from idtool.reporting.sections.fit import (
 )
 from idtool.reporting.sections.fleet import FleetSection
 from idtool.reporting.sections.uncertainty import RepeatabilitySection
-from idtool.reporting.terminal.base import Terminal
+from idtool.reporting.terminal.output import Output
 from idtool.reporting.terminal.simulation import show_simulation
 from idtool.reporting.terminal.verdict import show_verdict
 
 
-def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
-    """The result of a fit: errors, bodies, friction, certificate, and where the files are."""
+def show_fit(terminal: Output, report: FitReport, folder: Path | None = None) -> None:
+    """The result of a fit: errors, bodies, friction, certificate, and where the files are, if any were written."""
     show_verdict(terminal, report.verdict, report.verdict_reasons)
     terminal.sections([TorqueErrorsSection(), ErrorsByKindSection(), FleetSection()], report)
     show_simulation(terminal, report.simulation)
@@ -43,8 +43,9 @@ def show_fit(terminal: Terminal, report: FitReport, folder: Path) -> None:
         terminal.say(f"the prior's weight is {short_number(regularization.weight, 2)}: {reason}")
     terminal.say(_optimality_text(report.solver))
     terminal.notices(report.notices)
-    robots = ", robots/" if report.fleet else ""
-    terminal.say(f"written: {folder}/identified.urdf, model.yaml, report.json, report.html{robots}")
+    if folder is not None:
+        robots = ", robots/" if report.fleet else ""
+        terminal.say(f"written: {folder}/identified.urdf, model.yaml, report.json, report.html{robots}")
 
 
 def _optimality_text(solver: SolverReport) -> str:

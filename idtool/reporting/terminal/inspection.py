@@ -5,10 +5,10 @@ from __future__ import annotations
 from idtool.common.number_text import short_number
 from idtool.reporting.results.inspection import InspectionReport
 from idtool.reporting.sections.inspection import JointsSection, SensorsSection
-from idtool.reporting.terminal.base import Terminal
+from idtool.reporting.terminal.output import Output
 
 
-def show_inspection(terminal: Terminal, inspection: InspectionReport) -> None:
+def show_inspection(terminal: Output, inspection: InspectionReport) -> None:
     """Print the contents of a log and the findings."""
     terminal.say(
         f"{inspection.path}: {inspection.samples} samples, {inspection.duration:.2f} s at "

@@ -18,9 +18,8 @@ from rich.console import Console, JustifyMethod
 from rich.text import Text
 
 from idtool.reporting.sections.base import Cell, Column, Table
+from idtool.reporting.terminal.output import EMPHASIS_STYLE, printable
 
-STYLE = {"problem": "bold red", "warning": "yellow", "note": "dim", "good": "bold green"}
-_EMPHASIS = {None: "", "good": STYLE["good"], "note": STYLE["warning"], "bad": STYLE["problem"]}
 _GAP = 2  # blanks between columns
 _MIN_TEXT_WIDTH = 20  # blanks that a column of words is left with, if it has so many
 
@@ -64,11 +63,6 @@ def table_lines(table: Table, width: int) -> Iterator[Text]:
         yield from _lines(part, width)
 
 
-def printable(text: str) -> str:
-    """The text, which may hold a stranger's names, without characters that would steer the terminal."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
-
-
 def _strip(table: Table, index: int) -> _Strip:
     column = table.columns[index]
     heading = f"{column.heading} {column.unit}".rstrip()
@@ -78,7 +72,7 @@ def _strip(table: Table, index: int) -> _Strip:
 
 def _text(cell: Cell, column: Column) -> Text:
     is_whole = column.kind != "words"
-    return Text(printable(cell.text), _EMPHASIS[cell.emphasis], no_wrap=is_whole, overflow="fold")
+    return Text(printable(cell.text), EMPHASIS_STYLE[cell.emphasis], no_wrap=is_whole, overflow="fold")
 
 
 def _longest_word(text: Text) -> int:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from idtool.reporting.results.reduction import ReductionReport
-from idtool.reporting.terminal.base import Terminal
+from idtool.reporting.terminal.output import Output
 
 
-def show_reduction(terminal: Terminal, report: ReductionReport) -> None:
+def show_reduction(terminal: Output, report: ReductionReport) -> None:
     """Print what was reduced, and the file.
 
     Parameters
     ----------
     terminal
-        Terminal that is written to.
+        The terminal, or a notebook.
     report
         The result.
     """

@@ -11,13 +11,14 @@ from idtool.reporting.sections.study import (
     LearningCurvesSection,
     OnlineSection,
 )
-from idtool.reporting.terminal.base import Terminal
+from idtool.reporting.terminal.output import Output
 
 SECTIONS = (ConstraintSetsSection(), EstimatorsSection(), LearningCurvesSection(), OnlineSection())
 
 
-def show_study(terminal: Terminal, report: StudyReport, folder: Path) -> None:
+def show_study(terminal: Output, report: StudyReport, folder: Path | None = None) -> None:
     """Constraint sets, estimators, learning curves and Remark 5 in tables."""
     terminal.sections(SECTIONS, report)
     terminal.notices(report.notices)
-    terminal.say(f"written: {folder}/study.json, study.html ({report.seconds:.0f} s)")
+    if folder is not None:
+        terminal.say(f"written: {folder}/study.json, study.html ({report.seconds:.0f} s)")

@@ -10,20 +10,21 @@ from idtool.reporting.sections.validation import (
     ModelErrorsSection,
     RegressionCasesSection,
 )
-from idtool.reporting.terminal.base import Terminal
+from idtool.reporting.terminal.output import Output
 from idtool.reporting.terminal.simulation import show_simulation
 from idtool.reporting.terminal.verdict import show_verdict
 
 
-def show_validation(terminal: Terminal, report: ValidationReport, folder: Path) -> None:
+def show_validation(terminal: Output, report: ValidationReport, folder: Path | None = None) -> None:
     """The result of a validation."""
     show_verdict(terminal, report.verdict, report.verdict_reasons)
     terminal.sections([ModelErrorsSection(), ModelErrorsByKindSection()], report)
     show_simulation(terminal, report.simulation)
     terminal.notices(report.notices)
-    terminal.say(f"written: {folder}/validation.json, validation.html")
+    if folder is not None:
+        terminal.say(f"written: {folder}/validation.json, validation.html")
 
 
-def show_regression(terminal: Terminal, report: RegressionReport) -> None:
+def show_regression(terminal: Output, report: RegressionReport) -> None:
     """Every case against its bounds."""
     terminal.sections([RegressionCasesSection()], report)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from idtool.reporting.results.verdict import VerdictLevel, VerdictReason
-from idtool.reporting.terminal.base import STYLE, Terminal
+from idtool.reporting.terminal.output import STYLE, Output
 from idtool.reporting.verdict import LEVEL_TEXTS
 
 _MARKS: Mapping[VerdictLevel, str] = {"good": "✓", "torque_only": "!", "do_not_use": "✗"}
@@ -17,7 +17,7 @@ _STYLES: Mapping[VerdictLevel, str] = {
 
 
 def show_verdict(
-    terminal: Terminal, level: VerdictLevel, reasons: Sequence[VerdictReason], next_steps: Sequence[str] = ()
+    terminal: Output, level: VerdictLevel, reasons: Sequence[VerdictReason], next_steps: Sequence[str] = ()
 ) -> None:
     """The verdict, its reasons, and what to do next, one a line."""
     terminal.say(f"Verdict: {LEVEL_TEXTS[level]}", _STYLES[level])
