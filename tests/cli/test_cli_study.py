@@ -28,7 +28,7 @@ from commands import (
 
 from idtool import __version__
 from idtool.cli import app
-from idtool.reporting.number_text import four_digits
+from idtool.common.number_text import number
 
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 LEG_YAML = LEG.with_suffix(".yaml")
@@ -74,11 +74,11 @@ def test_a_study_says_what_it_found_in_tables(studied: Any) -> None:
     report, words = studied.json, studied.err.split()
     assert {*report["sets"], *report["estimators"], *report["learning"]["curves"]} <= set(words)
     for row in (*report["sets"].values(), *report["estimators"].values()):
-        assert four_digits(row["rms"]["validation"]["overall"]) in words
+        assert number(row["rms"]["validation"]["overall"]) in words
     for count in report["learning"]["counts"]:
         assert re.search(rf"^{count} ", studied.err, re.MULTILINE)
     for seconds in report["adaptation"]["time_to_10_percent"].values():
-        assert "not reached" in studied.err if seconds is None else four_digits(seconds) in words
+        assert "not reached" in studied.err if seconds is None else number(seconds) in words
 
 
 def test_the_page_of_a_study(folder: Path, studied: Any) -> None:
@@ -123,7 +123,7 @@ def test_what_adapting_reports(adapted: Any) -> None:
         np.testing.assert_allclose(body["pi"], theta[-1][10 * i : 10 * (i + 1)], rtol=1e-12)
     assert set(report["final"]["friction"]) == set(JOINTS)
     assert set(report["prediction_rms"]) == {*JOINTS, "overall"}
-    assert f"{report['prediction_rms']['overall']:.4g}" in adapted.err.split()
+    assert number(report["prediction_rms"]["overall"]) in adapted.err.split()
 
 
 def test_a_time_constant_without_end_is_null(folder: Path) -> None:

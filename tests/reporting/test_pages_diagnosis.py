@@ -27,10 +27,10 @@ from records import partial
 from rollouts import experiment_of, rollouts_of
 
 from idtool.common.notice import Notice
+from idtool.common.number_text import number
 from idtool.diagnosis.records import Diagnosis, ErrorSummary, ResidualLocation
 from idtool.estimation.fit import Fit
 from idtool.reporting.diagnosis_report import diagnosis_report
-from idtool.reporting.number_text import four_digits
 from idtool.reporting.pages.diagnosis import diagnosis_page, parameter_texts
 from idtool.reporting.results.base import NoticeReport
 from idtool.reporting.results.diagnosis import DiagnosisReport, StepReport
@@ -226,7 +226,7 @@ def test_the_rollouts_of_both_models_are_drawn(found: Diagnosis) -> None:
     hip = page.table("hold")["hip"]
     for column, fitted in (("model", found.last), ("prior", found.first)):
         assert fitted.simulation is not None
-        assert hip[column] == four_digits(fitted.simulation.errors["identified"].rmse(JOINTS, "position")["hip"])
+        assert hip[column] == number(fitted.simulation.errors["identified"].rmse(JOINTS, "position")["hip"])
     assert hip["model"] != hip["prior"]
 
 
