@@ -31,6 +31,7 @@ from recordings import State, ros2, write_mcap
 
 import idtool
 from idtool.api.model import Model
+from idtool.common.number_text import number, short_number
 from idtool.diagnosis.records import Diagnosis
 from idtool.robot.config import read_config
 
@@ -129,10 +130,12 @@ def test_a_fit_at_the_prompt(result: idtool.FitResult) -> None:
     assert lines[1].split() == ["joint", "identified", "prior", "viscous", "coulomb"]
     hip = result.friction["hip"]
     shown = (result.rms.validation or {})["hip"], (result.rms.prior_validation or {})["hip"], hip.viscous, hip.coulomb
-    assert lines[3].split() == ["hip", *(f"{x:.4g}" for x in shown)]
-    assert f"shank_link {result.bodies['shank_link'].mass:.4g}" in lines[6]
+    assert lines[3].split() == ["hip", *map(number, shown)]
+    assert f"shank_link {short_number(result.bodies['shank_link'].mass)}" in lines[6]
     assert len(lines) < 10
-    assert repr(result.bodies["shank_link"]).startswith(f"Link: {result.bodies['shank_link'].mass:.4g} kg at (")
+    assert repr(result.bodies["shank_link"]).startswith(
+        f"Link: {short_number(result.bodies['shank_link'].mass)} kg at ("
+    )
 
 
 def test_without_held_out_data_the_fits_own_error_is_shown(out: Path) -> None:
@@ -161,7 +164,7 @@ def test_the_identified_model_is_the_one_in_the_files(
     assert (dict(found.ok), found.rms.model, found.rms.prior) == ({"hip": False}, *done.json["rms"].values())
     assert found.simulation is not None
     assert found.simulation.model_dump(mode="json") == done.json["simulation"]
-    assert "0.1000 (not met)" in repr(found)
+    assert "0.100 (not met)" in repr(found)
     assert {path.name for path in found.save(out / "api")} == VALIDATION_FILES
     assert f"idtool.validate(&#39;{LEG}, identified&#39;" in (out / "api" / "validation.html").read_text()
 
@@ -195,7 +198,7 @@ def test_simulate_returns_and_writes_what_the_command_does(result: idtool.FitRes
     assert found.rmse.velocity == printed["rmse"]["velocity"]
     assert found.save(tmp_path / "folder") == (tmp_path / "folder" / "simulated.mcap",)
     np.testing.assert_array_equal(idtool.Log(tmp_path / "folder" / "simulated.mcap").q, found.log.q)
-    assert repr(found).startswith("SimulationResult: 2.999 s open loop, 0.5 s at a time\n")
+    assert repr(found).startswith("SimulationResult: 3 s open loop, 0.5 s at a time\n")
     with pytest.raises(idtool.IdtoolError, match="is an input file"):
         found.save(out / "log.csv")
 

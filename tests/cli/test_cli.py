@@ -26,6 +26,7 @@ from commands import (
 
 from idtool import __version__
 from idtool.cli import app
+from idtool.common.number_text import number
 
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 NAMES = sorted(COMMANDS)
@@ -169,7 +170,7 @@ def test_tables_name_every_joint_and_body(tmp_path: Path) -> None:
     done = idtool("fit", LEG, TRAIN, "--quick", folder=tmp_path)
     words = done.out.split()
     assert {*JOINTS, "overall", *report["bodies"]} <= set(words)
-    assert f"{report['rms']['validation']['overall']:.4g}" in words
+    assert number(report["rms"]["validation"]["overall"]) in words
     assert "written: leg_idtool/identified.urdf, model.yaml, report.json, report.html" in done.out
 
 

@@ -178,10 +178,10 @@ def test_a_body_that_cannot_exist_is_named(report: dict[str, Any]) -> None:
 def test_tables_hold_the_reports_figures(report: dict[str, Any]) -> None:
     page = page_of(report)
     assert "RMS error of the torque predicted one sample ahead, N·m, below 40 Hz" in page.plain
-    assert page.table("rms")[SLIDE]["rms"] == "0.7700"
-    assert page.table("rms")["overall"]["rms"] == "0.7000"
+    assert page.table("rms")[SLIDE]["rms"] == "0.770"
+    assert page.table("rms")["overall"]["rms"] == "0.700"
     assert "Friction at the end, viscous N·m·s/rad, others N·m" in page.plain
-    assert page.table("offset")[SCRIPT] == {"joint": SCRIPT, "viscous": "0.3000", "Coulomb": "0.3000", "offset": "–"}
+    assert page.table("offset")[SCRIPT] == {"joint": SCRIPT, "viscous": "0.300", "Coulomb": "0.300", "offset": "–"}
 
 
 def test_what_a_page_holds_of_many_values() -> None:

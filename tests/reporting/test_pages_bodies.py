@@ -70,7 +70,7 @@ def test_an_infeasible_body_is_explained() -> None:
     broken = body_of(realizable=False, violations=[f"I1 + I2 < I3 {SCRIPT}"], witness=None, deviation_ellipsoid=None)
     page = page_of({"fine": body_of(), BODY: broken})
     assert f"These parameters are not physically realizable: I1 + I2 < I3 {SCRIPT}" in page.plain
-    assert f"{BODY} 0.6000 kg, not realizable" in page.plain
+    assert f"{BODY} 0.600 kg, not realizable" in page.plain
     shown = [attrs for tag, attrs in page.tags if tag == "details"]
     assert ["open" in attrs for attrs in shown] == [False, True]
     assert [tag for tag, _ in page.tags if tag in ("script", "img")] == ["script"] * 3
@@ -92,7 +92,7 @@ def test_point_masses_stand_beside_the_figure() -> None:
     rows = [row for row in page_of({"b": body}).rows if len(row) == 4]
     assert rows[0] == ["point mass [kg]", "x [m]", "y [m]", "z [m]"]
     assert len(rows) == 5
-    assert rows[4] == ["0.3000", *(f"{x:.4f}" for x in body["witness"]["points"][3])]
+    assert rows[4] == ["0.300", *(f"{x:.4f}" for x in body["witness"]["points"][3])]
 
 
 def test_many_point_masses_are_cut_short() -> None:
@@ -111,7 +111,7 @@ def test_the_split_of_a_union_stands_beside_the_figure() -> None:
     body = body_of(ellipsoids=[*body_of()["ellipsoids"], second], shapes=[SHAPES["box"]], split=parts, copy_of=SCRIPT)
     page = page_of({"b": body})
     assert [row for row in page.rows if len(row) == 3][1:] == [
-        ["1: ellipsoid", "0.2000", "0.0000, 0.0000, -0.1000"],
+        ["1: ellipsoid", "0.200", "0.0000, 0.0000, -0.1000"],
         ["2: ellipsoid", "0.000", "–"],
         ["3: box", "0.4000", "0.1000, 0.0000, 0.0000"],
     ]

@@ -22,7 +22,7 @@ def test_figures_have_sensible_digits(x: float | None, digits: int, text: str) -
 @pytest.mark.parametrize(
     ("x", "error", "text"),
     [(3.10606, 0.0067001, ("3.1061", "0.0067")), (1234.5, 21.0, ("1234", "21")), (None, None, ("–", "")),
-     (0.5217, None, ("0.5217", "not determined")), (0.5, 0.0, ("0.5000", "0.0"))],
+     (0.5217, None, ("0.522", "not determined")), (0.5, 0.0, ("0.500", "0.0"))],
 )  # fmt: skip
 def test_figures_have_the_digits_of_their_error(x: float | None, error: float | None, text: tuple[str, str]) -> None:
     assert with_error(x, error) == text

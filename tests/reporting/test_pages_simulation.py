@@ -82,10 +82,10 @@ def test_tables_hold_the_errors(motion: dict[str, Array]) -> None:
     models = ["model", "prior", "hold"]
     heads = ["joint", "unit", *models, *(f"velocity, {name} [unit/s]" for name in models)]
     start = page.rows.index(heads)
-    errors = ["0.1000", "0.2000", "0.9000", "0.2000", "0.4000", "1.800"]
+    errors = ["0.100", "0.200", "0.900", "0.200", "0.400", "1.80"]
     assert page.rows[start + 1 :][:2] == [["j0", "rad", *errors], ["j1", "m", *errors]]
     assert page.rows[start + 3][:2] == ["overall", "mixed rad and m"]
-    assert page.rows[start + 4] == ["after 10 ms", "mixed rad and m", "0.001000", "0.002000", "0.009000", "", "", ""]
+    assert page.rows[start + 4] == ["after 10 ms", "mixed rad and m", "0.00100", "0.00200", "0.00900", "", "", ""]
     assert "Simulated position, RMS error, rad or m: open loop, 0.5 s at a time" in page.plain
 
 

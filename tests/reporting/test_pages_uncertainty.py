@@ -189,7 +189,7 @@ def test_what_does_not_repeat_comes_first(report: dict[str, Any]) -> None:
     ]  # fmt: skip
     assert "1 more are determined by fewer than two logs" in page.plain
     assert "The log that differs from the others is log 1" in page.plain
-    assert page.rows[-2:] == [["log 0", "1.00", "1.900"], ["log 1", "1.600", "1.200"]]
+    assert page.rows[-2:] == [["log 0", "1.00", "1.90"], ["log 1", "1.60", "1.20"]]
     errors = [attrs.get("class") for tag, attrs in page.tags if tag == "td"][-4:]
     assert errors == [None, "bad", "bad", None]
     assert "note" in page.levels

@@ -122,6 +122,7 @@ def test_a_link_without_geometry_has_no_points(robot_of: Read) -> None:
         ('<box size="1 one 1"/>', "box size '1 one 1' should be 3 finite numbers"),
         ('<sphere radius="nan"/>', "sphere radius 'nan' should be a finite number"),
         ('<sphere radius="1e300"/>', "should be a finite number"),
+        ('<box size="1 -1 1"/>', "line 1: box size '1 -1 1' is negative"),
         ("<cylinder/>", "cylinder radius '' should be a finite number"),
         ('<plane normal="0 0 1"/>', "plane is not a supported geometry"),
         ("", "line 1: collision has no geometry"),

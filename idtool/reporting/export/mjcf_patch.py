@@ -73,7 +73,7 @@ class MjcfPatch(FilePatch):
     def set_gravity(self, tilt: Part) -> None:
         turned = self._turned_base()
         if turned is not None:
-            values = ", ".join(number(float(x)) for x in self.plan.gravity)
+            values = ", ".join(number(float(x), 4) for x in self.plan.gravity)
             detail = (
                 f"the file turns {turned.tag} {turned.name}".rstrip() + " and the robot with it; set gravity by hand: "
                 f"it is [{values}] m/s² in the root link's frame"
@@ -209,7 +209,7 @@ class MjcfPatch(FilePatch):
 
 def _mass_and_com(mass: float, com: Array) -> str:
     """Mass and centre of mass, for people."""
-    return f"{number(mass)} kg at [{exact_text(round_to_digits(com, 4))}] m"
+    return f"{number(mass, 4)} kg at [{exact_text(round_to_digits(com, 4))}] m"
 
 
 def _inertial(pi: Array) -> tuple[float, str]:

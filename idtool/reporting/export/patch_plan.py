@@ -282,4 +282,4 @@ def _value_text(value: object) -> str:
         return f"[{', '.join(_value_text(x) for x in value)}]"
     if value is None:
         return "none"
-    return number(value) if isinstance(value, float | int) else str(value)
+    return number(value, 4) if isinstance(value, float | int) else str(value)

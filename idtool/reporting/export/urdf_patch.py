@@ -64,8 +64,8 @@ class UrdfPatch(FilePatch):
         if all(has_urdf_inertia(self._links[name], pi) for name, pi in new.items()):
             return
         self._inertias |= new
-        mass = number(float(change.pi[0]))
-        self.carried.append(replace(change.part, detail=f"inertial, mass {number(change.mass)} → {mass}"))
+        mass = number(float(change.pi[0]), 4)
+        self.carried.append(replace(change.part, detail=f"inertial, mass {number(change.mass, 4)} → {mass}"))
 
     @override
     def edited_text(self) -> bytes:
