@@ -91,6 +91,7 @@ def write_reduction(path: Path, reduction: SavedReduction) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             with temporary.open("wb") as file:
                 _write(file, reduction)
             temporary.replace(path)

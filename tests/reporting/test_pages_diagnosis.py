@@ -166,7 +166,7 @@ def test_tables_hold_the_reports_figures(found: Diagnosis) -> None:
     hip = next(row for row in page.rows if row[0] == "hip" and len(row) == 8)
     assert hip == ["hip", "1.43", "0.605", "0.500", "89 %", "0.550", "0.0300", "0.0110"]
     step = next(row for row in page.rows if row[:3] == ["1", "Stribeck friction", "hip"])
-    assert step[3] == "stribeck 1.91\u00a0±\u00a00.20\u00a0N·m, velocity 0.1500\u00a0rad/s"
+    assert step[3] == "stribeck 1.91\u00a0±\u00a00.20\u00a0N·m, velocity 0.150\u00a0rad/s"
     assert step[4] == "0.873 → 0.475"
     assert "N·m, <br>velocity" in page.html  # one below the other
     assert step[5:] == ["0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load-dependent friction on hip"]
@@ -280,11 +280,11 @@ def test_the_worst_joint_is_the_one_that_is_open(found: Diagnosis) -> None:
 @pytest.mark.parametrize(
     ("values", "errors", "text"),
     [
-        ({"com": [0.01, 0.2]}, {"com": [0.001, None]}, "com [0.0100 ± 0.0010, 0.2000] m"),
-        ({"windows": [[1.0, 2.0], [3.0, 4.0]]}, {}, "windows [[1.000, 2.000], [3.000, 4.000]] m"),
+        ({"com": [0.01, 0.2]}, {"com": [0.001, None]}, "com [0.0100 ± 0.0010, 0.200] m"),
+        ({"windows": [[1.0, 2.0], [3.0, 4.0]]}, {}, "windows [[1.00, 2.00], [3.00, 4.00]] m"),
         ({"source": "knee"}, {"source": None}, "source knee"),
         ({"gain": None}, {}, "gain –"),
-        ({"inertia": [7.17e-4, 0.0, 4.3e-19]}, {}, "inertia [0.0007170, 0, 0] m"),
+        ({"inertia": [7.17e-4, 0.0, 4.3e-19]}, {}, "inertia [0.000717, 0, 0] m"),
     ],
 )
 def test_parameters_in_words(values: dict[str, Any], errors: dict[str, Any], text: str) -> None:
