@@ -296,7 +296,10 @@ def _newton(H: Array, gradient: Array, N: Array | None) -> Array | None:
     """
     H_free = H if N is None else N.T @ H @ N
     gradient_free = gradient if N is None else N.T @ gradient
-    size = 1 / np.sqrt(H_free.diagonal())
+    diagonal = H_free.diagonal()
+    if not (diagonal > 0).all():
+        return None
+    size = 1 / np.sqrt(diagonal)
     try:
         factor = cho_factor(H_free * size[:, None] * size, check_finite=False)
         step = -size * cho_solve(factor, size * gradient_free, check_finite=False)
