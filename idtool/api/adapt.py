@@ -80,7 +80,9 @@ def adapt(
     sets = choose_sets(experiment.model.bodies, constraints)
     adaptation = identify_online(experiment, sets, forgetting, progress=report_progress)
     notices = [notice for notice in experiment.notices if notice.code not in NOT_SIMULATED]
-    notices += [notice for part in (gains, delay) if part for notice in part.notices]
+    for fitted in (gains, delay):
+        if fitted is not None:
+            notices += fitted.notices
     notices += bounds_notices(experiment.model, sets, constraints)
     result = AdaptationResult.from_result(adaptation_report(adaptation, experiment, notices))
     result._made_by = call_text("adapt", model, logs, **changed_options(adapt, forgetting=forgetting))

@@ -47,5 +47,5 @@ def keep(module_file: str, name: str, content: bytes) -> None:
 
 
 def _path(module_file: str, name: str) -> Path:
-    """Where it is kept; NotImplementedError where Python keeps no compiled modules."""
+    """File in which it is kept; NotImplementedError where Python keeps no compiled modules."""
     return Path(importlib.util.cache_from_source(module_file)).with_name(name)

@@ -660,6 +660,8 @@ def _columns_by_rows(effect: Effect) -> Iterator[tuple[Indices, Indices]]:
         row[active] = True
     patterns, pattern_of_column = np.unique(appears, axis=1, return_inverse=True)
     for i, pattern in enumerate(patterns.T):
+        if not pattern.any():  # a column that appears in no row
+            continue
         yield np.flatnonzero(pattern), np.flatnonzero(pattern_of_column.ravel() == i)
 
 

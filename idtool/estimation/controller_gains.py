@@ -22,8 +22,9 @@ Standard errors are those of blocks of time for a given factor; they take accoun
 
 Without a moving vcmd, the column of kd is that of viscous friction: kd is then fitted only where the model has none.
 
-Letters: p coefficients theta = K z, p' of them free (z); Y their columns, b those of bodies; G gains; K delays; y the
-coefficients in a basis N of all z that satisfy the exact constraints, z = z0 + N y.
+Letters: E = qcmd(t − d) − q, which kp multiplies; p coefficients theta = K z, p' of them free (z); Y their columns, b
+those of bodies; y the coefficients in a basis N of all z that satisfy the exact constraints, z = z0 + N y. In shapes, K
+is the number of delays and G that of unknown gains.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import null_space
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import with_error
 from idtool.data.batches import BatchSpan
 from idtool.data.controller import MAX_DELAY, JointController
 from idtool.data.logs.stored_arrays import column_ranges
@@ -71,7 +73,9 @@ _MOST_STEPS = 50
 _CONVERGED = 1e-4  # relative change of all gains in a step
 _LONGEST_STEP = 2.0  # ratio of a kp to that before
 _PRIOR_ERROR = 0.3  # relative standard error of the torque that the prior's bodies exert on a joint
-_PRIOR_WEIGHT = 3.0  # of it in the fit: what a real robot's model leaves is no noise, and logs tell less than they seem
+# Divides _PRIOR_ERROR in the fit, but not in the standard errors: what a real robot's model leaves is no noise, and
+# logs tell less than they seem.
+_PRIOR_WEIGHT = 3.0
 _LEAST_NOISE = 1e-4  # of a joint's torque
 _TINY = 1e-12
 _CLUSTERS = 2 * FEWEST_CLUSTERS
@@ -108,7 +112,7 @@ class ControllerGains:
         parts = []
         for name, gains in (("kp", self.kp), ("kd", self.kd)):
             if gains:
-                values = ", ".join(f"{joint} {_with_error(value)}" for joint, value in gains.items())
+                values = ", ".join(f"{joint} {_gain_text(value)}" for joint, value in gains.items())
                 parts.append(f"{name}: {values}")
         sources = join_names(list(dict.fromkeys(SCALES[source] for source in self.scales.values())))
         return f"{'; '.join(parts)} (fitted, for the scale of {sources})"
@@ -141,14 +145,13 @@ class ControllerGains:
         return tuple(notices)
 
 
-def _with_error(gain: UncertainValue) -> str:
-    """A gain and its standard error, both to the error's second digit."""
-    error = gain.standard_error or 0.0
-    digits = max(1 - int(np.floor(np.log10(error))), 0) if error else 3
-    return f"{gain.value:.{digits}f} ± {error:.{digits}f}"
+def _gain_text(gain: UncertainValue) -> str:
+    """A gain and its standard error."""
+    return " ± ".join(with_error(gain.value, gain.standard_error))
 
 
 def _is_uncertain(gain: UncertainValue) -> bool:
+    """True for a gain whose standard error is a large share of it."""
     return (gain.standard_error or 0.0) > _UNCERTAIN * gain.value
 
 
@@ -250,9 +253,10 @@ def _check(experiment: Experiment, gains: Sequence[_Gain]) -> tuple[str, ...]:
 
 def _velocity_command_moves(experiment: Experiment, joint: str) -> bool:
     """True if a log that is fitted has a velocity command of a joint that changes."""
+    index = experiment.equation.joints.index(joint)
     for run in experiment.runs:
         log = run.signals.log
-        if run.train and log.has("vcmd", joint):
+        if run.train and run.signals.controller.joints[index] and log.has("vcmd", joint):
             column = log.joints.index(joint)
             least, greatest = column_ranges(log.signals["vcmd"][:, column : column + 1])
             if greatest[0] > least[0]:
@@ -408,6 +412,9 @@ class _GainFit:
             velocity = [joint.units["kd"] @ weights] if "kd" in names else []
             if "kp" in names:
                 error = joint.units["kp"] @ weights
+                if not error.any():
+                    what = "the position follows its command exactly, so that nothing tells the gain"
+                    raise ConfigError("controller.kp", f"{what}; log the command and the motion that it causes")
                 columns = np.column_stack([torque - known, joint.Y[:, own], *(-column for column in velocity)])
                 x, _ = scaled_least_squares(columns, error)
                 kp = 1 / x[0] if x[0] > 0 else float(np.linalg.norm(torque) / np.linalg.norm(error))
@@ -648,15 +655,23 @@ def _coupled_joints(experiment: Experiment) -> list[list[int]]:
 
 
 def _scale_source(experiment: Experiment, joints: Sequence[int]) -> ScaleSource:
-    """What fixes the scale of a set of coupled joints."""
+    """Source of the scale of a set of coupled joints."""
     controllers = [run.signals.controller for run in experiment.runs if run.train]
     if any(not controller.joints[j] for controller in controllers for j in joints):
         return "logged_torque"
-    if any(controller.kp[j, 0] > 0 for controller in controllers for j in joints):
+    if any(_has_given_gain(experiment, controller, j) for controller in controllers for j in joints):
         return "given_gain"
     if _known_values_determine_scale(experiment, joints):
         return "known_values"
     return "prior"
+
+
+def _has_given_gain(experiment: Experiment, controller: JointController, j: int) -> bool:
+    """True if a gain of a joint is given that friction cannot make up for, as it can for kd without a moving vcmd."""
+    if controller.kp[j, 0] > 0:
+        return True
+    joint = experiment.equation.joints[j]
+    return bool(controller.kd[j, 0] > 0) and _velocity_command_moves(experiment, joint)
 
 
 def _known_values_determine_scale(experiment: Experiment, joints: Sequence[int]) -> bool:

@@ -31,7 +31,7 @@ from idtool.reporting.results.fit import FitReport
 from idtool.reporting.stored_fit import StoredFit
 from idtool.reporting.verdict import LEVEL_TEXTS
 
-# Codes of notices about a fit by which its standard errors, or its estimates, are off by more than these say.
+# Codes of notices about a fit by which its estimates are off by more than their standard errors say.
 _DOUBTS = ("logs_disagree", "biased_parameters", "correlated_residual", "few_blocks", "duplicate_data")
 _DUPLICATE = 0.01  # standard errors, by which estimates from the same data may differ
 
@@ -161,7 +161,7 @@ def _answer_text(
         start = "What they have in common is the same, as far as the data tell"
     text = f"{start}: none of {parameters} differs by more than chance"
     if sensitivity is not None:
-        text += f"; in half of those that are clearly not zero, a difference of {percent(sensitivity)} would be seen"
+        text += f"; a difference of {percent(sensitivity)} in one of them would have an even chance to be seen"
     return f"{text}."
 
 
@@ -171,7 +171,7 @@ def _distance(p: ComparedParameter) -> float:
 
 
 def _common_owners(differing: Sequence[ComparedParameter], compared: Sequence[ComparedParameter]) -> list[str]:
-    """Bodies and joints that several parameters that differ all involve, but few of the others do."""
+    """Bodies and joints in all of several parameters that differ, but in fewer than half of those compared."""
     if len(differing) < 2:
         return []
     common = []
@@ -201,7 +201,7 @@ def _estimate_text(value: ComparedValue) -> str:
 def _notices(
     a: StoredFit, b: StoredFit, about: Sequence[ComparedParameter], logs_in_both: Sequence[str]
 ) -> Iterator[Notice]:
-    """What limits the comparison."""
+    """Notices about what limits the comparison."""
     if logs_in_both:
         message = f"logs in both: {join_names(logs_in_both)}; the results are not independent"
         advice = "a difference comes from the settings, the URDF or the other logs, hardly from the robot"

@@ -1,7 +1,8 @@
 """The parameters of two results, side by side, and whether they differ by more than chance.
 
 What is compared are the estimates from the data alone, without prior and constraints, each with its own standard error:
-Welch's test for independent estimates. A report has the value in the model and an interval that covers this value and
+Welch's test for independent estimates. Of effects and of the whole robot, a report has only the value in the model,
+which a prior may have moved. A report has the value in the model and an interval that covers this value and
 the estimate by the same margin (`UncertaintyAnalysis.interval`); estimate and margin follow from these.
 
 The answer is about the base parameters, since a single parameter of a body is seldom determined. Their p-values set the
@@ -15,11 +16,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtridf, stdtrit
+from scipy.special import ndtri, stdtridf, stdtrit
 
 from idtool.dynamics.effects import effect_name, target_name
 from idtool.estimation.uncertainty.standard_errors import CONFIDENCE
-from idtool.estimation.uncertainty.welch import significant_differences, welch_p_values
+from idtool.estimation.uncertainty.welch import FALSE_DISCOVERIES, significant_differences, welch_p_values
 from idtool.reporting.results.comparison import ComparedParameter, ComparedValue, ParameterKind
 from idtool.reporting.results.fit import BaseParameter, FitReport, FrictionErrors
 from idtool.reporting.sections.fit import friction_units
@@ -151,13 +152,13 @@ def _reason(a: Parameter | None, b: Parameter | None) -> str:
 
 
 def _main_source(value: ComparedValue) -> str:
-    """What a value rests on, in words; ``data`` if it can be compared."""
+    """Sources that a value rests on, in words; ``data`` if it can be compared."""
     if value.rests_on in ("prior", "constraints"):
         return f"rests on the {value.rests_on}"
     if value.rests_on == "combination":
         return "known only in a combination"
     if value.estimate is None:
-        return "not determined by the data"
+        return "given, or not determined by the data"
     return "data"
 
 
@@ -252,7 +253,7 @@ def _with_interval(
 
 
 def _with_error(name: str, unit: str, value: float, error: float | None, freedom: float, scatter: float) -> Parameter:
-    """A parameter that neither prior nor constraints change, of which no interval is reported."""
+    """A parameter of which no interval is reported: its value in the model stands for the estimate from the data."""
     interval = None
     if error is not None and math.isfinite(error):
         half_width = float(stdtrit(freedom, _QUANTILE)) * error
@@ -378,19 +379,24 @@ def _report_freedom(report: FitReport) -> float:
 
 
 def relative_sensitivity(parameters: Sequence[ComparedParameter]) -> float | None:
-    """Two standard errors of the difference relative to the estimate, the median of the parameters that are not zero.
+    """Difference of one parameter that has an even chance to be found, relative to its estimate; None: not known.
+
+    It is the median of the parameters that are clearly not zero. If all others agree, a p-value must be below the rate
+    of false discoveries divided by the number of parameters.
 
     Parameters
     ----------
     parameters
-        Those that are compared; None if none of them is clearly not zero.
+        Those that are compared.
     """
     shares = []
+    needed_p_value = FALSE_DISCOVERIES / max(len(parameters), 1)
+    needed_errors = -float(ndtri(needed_p_value / 2))
     for p in parameters:
         sizes = [_size(value) for value in (p.a, p.b) if value is not None]
         size = max(sizes, default=0.0)
         if p.standard_error is not None and size:
-            shares.append(2 * p.standard_error / size)
+            shares.append(needed_errors * p.standard_error / size)
     return float(np.median(shares)) if shares else None
 
 

@@ -1,8 +1,9 @@
-"""What was set differently for two results: configuration, robot, logs and versions."""
+"""Settings that differ between two results: configuration, robot, logs and versions."""
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -37,21 +38,21 @@ def shared_logs(a: FitReport, b: FitReport) -> list[str]:
     return [source.path for source in a.inputs if source.kind == "log" and source.sha256 in hashes]
 
 
-def _reported_settings(report: FitReport) -> dict[str, str]:
+def _reported_settings(report: FitReport) -> dict[str, Any]:
     """Versions, files and what a report says of the settings."""
-    settings = {"idtool": report.idtool}
+    settings: dict[str, Any] = {"idtool": report.idtool}
     settings |= {f"version of {name}": version for name, version in report.versions.items()}
     for kind in ("URDF", "mesh"):
         files = [source for source in report.inputs if source.kind == kind]
         if files:
             hashes = ", ".join(sorted((source.sha256 or "")[:_HASH_LENGTH] for source in files))
-            settings[f"content of the {kind} (SHA-256)"] = _shortened(hashes)
+            settings[f"content of the {kind} (SHA-256)"] = hashes
     settings["method"] = report.method
     settings["filter.cutoff_hz, as used"] = f"{number(report.band_hz, 4)} Hz"
     settings["regularization, as used"] = f"{report.regularization.kind}, weight {number(report.regularization.weight)}"
-    sets = [f"{name} {body.constraints}" for name, body in report.bodies.items()]
-    kinds = dict.fromkeys(body.constraints for body in report.bodies.values())
-    settings["constraints, as used"] = _shortened(", ".join(kinds if len(kinds) == 1 else sets))
+    set_of_body = {name: body.constraints for name, body in report.bodies.items()}
+    is_uniform = len(set(set_of_body.values())) == 1
+    settings["constraints, as used"] = next(iter(set_of_body.values())) if is_uniform else set_of_body
     if report.controller is not None:
         given = report.controller.given
         settings["controller.delay, as given"] = "auto" if given is None else f"{number(given)} s"
@@ -110,14 +111,15 @@ def _is_list_of_parts(value: Any) -> bool:
 
 
 def _by_name(items: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    """The items of a list, by what they are called, or by their numbers."""
-    names = []
-    for i, item in enumerate(items):
-        parts = [str(item[key]) for key in ("name", "effect", "joint", "link", "body") if item.get(key)]
-        names.append(" ".join(parts) or str(i + 1))
-    if len(set(names)) < len(names):
-        names = [f"{i + 1} {name}" for i, name in enumerate(names)]
-    return dict(zip(names, items, strict=True))
+    """The items of a list, by what they are called; the second of a name has a 2 behind it, and so on."""
+    named: dict[str, Mapping[str, Any]] = {}
+    count: Counter[str] = Counter()
+    for item in items:
+        name = " ".join(str(item[key]) for key in ("name", "effect", "joint", "link", "body") if item.get(key))
+        count[name] += 1
+        is_first = name and count[name] == 1
+        named[name if is_first else f"{name} {count[name]}".strip()] = item
+    return named
 
 
 def _value_text(value: Any) -> str | None:

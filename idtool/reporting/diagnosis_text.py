@@ -108,7 +108,7 @@ def found_sentence(report: DiagnosisReport) -> str:
 
 
 def remaining_sentences(report: DiagnosisReport) -> list[str]:
-    """What the effects found do not explain, and which of them are doubtful."""
+    """Sentences about what the effects found do not explain, and about doubtful ones."""
     sentences = []
     known_steps = _known_steps(report)
     unknown = _unknown_owners(report)

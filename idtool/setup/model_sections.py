@@ -199,7 +199,7 @@ def known(draft: Draft) -> ConfigSection:
 
 
 def total_mass_todo(draft: Draft) -> TodoItem:
-    """What to do to get the total mass."""
+    """The item that asks for the total mass."""
     what = "weigh the moving parts: the torque alone rarely determines their mass"
     if draft.standing_links:
         what += f"; if you weigh the whole robot, subtract {_standing(draft)}"

@@ -51,9 +51,10 @@ class ComparedResult(Record):
 class ComparedValue(Record):
     """A parameter in one of the two results."""
 
-    value: float = field("Its value in the model.")
+    value: float = field("Its value in the model; of the controller's delay, the fitted one.")
     estimate: float | None = field(
-        "Estimate from the data alone, without prior and constraints; null if the data do not determine it."
+        "Estimate from the data alone, without prior and constraints; of effects and of the whole robot, the value in "
+        "the model. Null if the data do not determine it."
     )
     standard_error: float | None = field(
         "Standard error of the estimate, enlarged if the logs of this result scatter more than theirs predict."
@@ -121,8 +122,8 @@ class ComparisonReport(ReproducibleResult):
     false_discoveries: float = field("Largest expected fraction of false ones among those that differ.")
     p_limit: float | None = field("Largest p-value of those that differ; null if none does.")
     detectable: float | None = field(
-        "Two standard errors of the difference, relative to the value: the median of the compared parameters that are "
-        "clearly not zero; null if there is none."
+        "Difference of one parameter that has an even chance to be found, relative to its value: the median of the "
+        "compared parameters that are clearly not zero; null if there is none."
     )
     same_logs: bool = field("Whether a log was used for both, so that they are not independent.")
     joints: tuple[str, ...] = field("Joints of both.")

@@ -44,7 +44,7 @@ _MAX_TERMINAL_SETTINGS = 20
 
 
 class ComparedResultsSection(Section[ComparisonReport]):
-    """What the two results are."""
+    """Files, versions and verdicts of the two results."""
 
     title = "The two results"
 
@@ -218,7 +218,7 @@ def _estimate_cells(value: ComparedValue | None) -> tuple[Cell, Cell]:
 
 
 def _differs_cell(p: ComparedParameter) -> Cell:
-    """Whether a parameter differs, or why that cannot be told."""
+    """Answer whether a parameter differs, or the reason why that cannot be told."""
     if p.differs is None:
         return Cell(p.reason)
     return Cell("yes", emphasis="bad") if p.differs else Cell("no")
