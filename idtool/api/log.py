@@ -69,7 +69,7 @@ class Log:
     --------
     >>> log = idtool.Log("sample_logs/leg_train.mcap")
     >>> log
-    Log leg_train.mcap: 3 joints (abad, hip, knee), 9.999 s at 1000 Hz: q, v, tau
+    Log leg_train.mcap: 3 joints (abad, hip, knee), 10 s at 1000 Hz: q, v, tau
     >>> log.tau.shape
     (10000, 3)
     """

@@ -1,15 +1,22 @@
-"""Units of joints: of their torque, "N·m" or "N", and of their position."""
+"""Units of joints, by that of their torque, "N·m" or "N"; and standard gravity."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-POSITION_UNITS = {"N·m": "rad", "N": "m"}  # of a joint, by that of its torque
+STANDARD_GRAVITY = 9.81  # m/s²
+POSITION_UNITS = {"N·m": "rad", "N": "m"}
+INERTIA_UNITS = {"N·m": "kg·m²", "N": "kg"}  # of an inertia reflected at a joint
 
 
 def position_units(torque_units: Mapping[str, str]) -> dict[str, str]:
     """Unit of each joint's position, by that of its torque."""
     return {joint: POSITION_UNITS[unit] for joint, unit in torque_units.items()}
+
+
+def friction_units(torque_unit: str) -> tuple[str, str]:
+    """Units of viscous and of dry friction at a joint."""
+    return f"{torque_unit}·s/{POSITION_UNITS[torque_unit]}", torque_unit
 
 
 def units_text(units: Mapping[str, str]) -> str:

@@ -31,6 +31,7 @@ from functools import cached_property
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.data.column_cache import IdentityKey
 from idtool.data.contact_channels import ContactSamples
 from idtool.data.signals import Motion
@@ -43,7 +44,6 @@ from idtool.robot.model import RobotModel
 _RIDGE = 1e-11
 _MIN_WEIGHT_SHARE = 0.02  # of the robot's weight: a smaller measured force is noise
 _MIN_ARM = 0.1  # m, at which such a force makes the smallest moment that is more than noise
-_GRAVITY = 9.81  # m/s²
 _MAX_FRICTION = 2.0  # coefficient of friction; where a leg is straight, its torque does not tell the force
 _MIN_FORCE = 1e-9  # N
 
@@ -88,7 +88,7 @@ class ContactModel:
     def acts_on_joints(self, contact_samples: ContactSamples) -> Mask:
         """True where a contact force acts on a link that the joints move, shape (N,); not for less than noise."""
         acts = np.zeros(contact_samples.is_closed.shape[1], dtype=bool)
-        least = _MIN_WEIGHT_SHARE * _GRAVITY * self.model.mass
+        least = _MIN_WEIGHT_SHARE * STANDARD_GRAVITY * self.model.mass
         for i, contact in enumerate(self.contacts):
             if self.model.bodies[self.model.frames[contact.link].body].is_base:
                 continue
@@ -153,7 +153,7 @@ class ContactModel:
         for joint, mask in unknown_friction.items():
             is_unknown[joint] = mask
         projector = np.empty((count, nv, nv))
-        for joints, samples in _samples_by_pattern(is_unknown):
+        for joints, samples in _samples_by_column(is_unknown):
             Q, _ = np.linalg.qr(self._decorrelation[:, joints])
             projector[samples] = np.eye(nv) - Q @ Q.T
         return projector
@@ -338,18 +338,18 @@ def _exerted_together(directions: Array) -> Iterator[tuple[Indices, Indices]]:
 
     Samples at which none can are left out.
     """
-    for can_act, samples in _samples_by_pattern(np.asarray(directions.any(axis=1))):
+    for can_act, samples in _samples_by_column(np.asarray(directions.any(axis=1))):
         if can_act.any():
             yield np.flatnonzero(can_act), samples
 
 
-def _samples_by_pattern(mask: Mask) -> Iterator[tuple[Mask, Indices]]:
-    """Columns of a mask of shape (k, N), each different one once, and where it is so; for few changes along time."""
+def _samples_by_column(mask: Mask) -> Iterator[tuple[Mask, Indices]]:
+    """Each different column of a mask of shape (k, N), and the samples that have it; fast if it seldom changes."""
     is_change = (mask[:, 1:] != mask[:, :-1]).any(axis=0)
     stretches: dict[bytes, list[Indices]] = {}
     for samples in np.split(np.arange(mask.shape[1]), np.flatnonzero(is_change) + 1):
-        pattern = mask[:, samples[0]]
-        stretches.setdefault(pattern.tobytes(), []).append(samples)
+        column = mask[:, samples[0]]
+        stretches.setdefault(column.tobytes(), []).append(samples)
     for parts in stretches.values():
         yield mask[:, parts[0][0]], np.concatenate(parts)
 

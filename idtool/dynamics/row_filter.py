@@ -98,7 +98,7 @@ class ProjectedRows(RowFilter):
     """Filter that leaves out what unknown contact forces can exert.
 
     The expected squared error of a row is the square of its noise times the share that these forces leave of it: the
-    diagonal of the projector, which varies slowly within the length of the filter.
+    diagonal of the projector, filtered as the rows are.
 
     Attributes
     ----------

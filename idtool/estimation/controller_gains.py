@@ -35,7 +35,7 @@ from typing import Literal
 
 import numpy as np
 
-from idtool.common.arrays import Array, Mask
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import null_space
 from idtool.common.names import join_names
@@ -61,7 +61,7 @@ from idtool.robot.inertia import PI_SIZE
 GainName = Literal["kp", "kd"]
 ScaleSource = Literal["logged_torque", "given_gain", "known_values", "prior"]
 
-SCALES: Mapping[ScaleSource, str] = {
+_SCALES: Mapping[ScaleSource, str] = {
     "logged_torque": "the logged torque of other joints",
     "given_gain": "the gains that are given",
     "known_values": "the known values of the configuration",
@@ -71,7 +71,7 @@ SCALES: Mapping[ScaleSource, str] = {
 _UNITS: Mapping[GainName, tuple[float, float]] = {"kp": (1.0, 0.0), "kd": (0.0, 1.0)}
 _MOST_STEPS = 50
 _CONVERGED = 1e-4  # relative change of all gains in a step
-_LONGEST_STEP = 2.0  # ratio of a kp to that before
+_MOST_KP_RATIO = 2.0  # of a kp to that before the step
 _PRIOR_ERROR = 0.3  # relative standard error of the torque that the prior's bodies exert on a joint
 # Divides _PRIOR_ERROR in the fit, but not in the standard errors: what a real robot's model leaves is no noise, and
 # logs tell less than they seem.
@@ -79,8 +79,8 @@ _PRIOR_WEIGHT = 3.0
 _LEAST_NOISE = 1e-4  # of a joint's torque
 _TINY = 1e-12
 _CLUSTERS = 2 * FEWEST_CLUSTERS
-_INFORMATIVE = 1e-6  # of a constraint: less of it that the motion determines is rounding
-_DETERMINED = 1e-3  # of a gain's column: less that no other column explains is rounding
+_LEAST_INFORMATION = 1e-6  # of a constraint: less of it that the motion determines is rounding
+_LEAST_REST = 1e-3  # of a gain's column: less that no other column explains is rounding
 _UNCERTAIN = 0.1  # relative standard error from which a gain is reported
 
 
@@ -98,6 +98,8 @@ class ControllerGains:
         Joints whose kd includes viscous friction.
     is_total_mass_known
         True if the prior has a total mass that was measured.
+    has_converged
+        False if the last step still changed a gain.
     """
 
     kp: Mapping[str, UncertainValue]
@@ -105,6 +107,7 @@ class ControllerGains:
     scales: Mapping[str, ScaleSource]
     includes_friction: tuple[str, ...]
     is_total_mass_known: bool
+    has_converged: bool
 
     @property
     def text(self) -> str:
@@ -114,7 +117,7 @@ class ControllerGains:
             if gains:
                 values = ", ".join(f"{joint} {_gain_text(value)}" for joint, value in gains.items())
                 parts.append(f"{name}: {values}")
-        sources = join_names(list(dict.fromkeys(SCALES[source] for source in self.scales.values())))
+        sources = join_names(list(dict.fromkeys(_SCALES[source] for source in self.scales.values())))
         return f"{'; '.join(parts)} (fitted, for the scale of {sources})"
 
     @property
@@ -139,6 +142,10 @@ class ControllerGains:
             message = f"the logs hardly determine these gains: {join_names(uncertain)}"
             advice = "give them, or controller.delay if it is auto, or log faster motions with vcmd"
             notices.append(Notice("controller_gains_uncertain", "warning", "controller", message, advice))
+        if not self.has_converged:
+            message = f"the gains still change after {_MOST_STEPS} steps: the logs hardly tell them"
+            advice = "give one kp, or controller.delay if it is auto"
+            notices.append(Notice("controller_gains_not_converged", "warning", "controller", message, advice))
         if self.includes_friction:
             message = f"without a moving vcmd, kd includes viscous friction: {join_names(self.includes_friction)}"
             notices.append(Notice("controller_gain_with_friction", "note", "controller.kd", message))
@@ -187,7 +194,7 @@ def with_gains(experiment: Experiment, progress: Progress) -> tuple[Experiment, 
         runs.append(replace(run, signals=signals.with_controller(joint_controller)))
     scales = {gain.joint: fit.scale.sources[gain.index] for gain in gains}
     is_weighed = config.known.total_mass is not None
-    result = ControllerGains(fitted["kp"], fitted["kd"], scales, includes_friction, is_weighed)
+    result = ControllerGains(fitted["kp"], fitted["kd"], scales, includes_friction, is_weighed, fit.has_converged)
     return replace(experiment, config=config, runs=tuple(runs)), result
 
 
@@ -264,7 +271,7 @@ def _velocity_command_moves(experiment: Experiment, joint: str) -> bool:
     return False
 
 
-def _rows(equation: LinearModel, run: Run, gains: Sequence[_Gain], lags: DelayPolynomial) -> Rows:
+def _torque_columns(equation: LinearModel, run: Run, gains: Sequence[_Gain], lags: DelayPolynomial) -> Rows:
     """Columns of the torque equation, those of the joint's gains and its known torque, both at each of the delays."""
     given = run.signals.controller
     known = given.with_unknown_gains(0.0, 0.0)
@@ -302,8 +309,9 @@ class _JointRows:
     ----------
     Y
         Columns of all free coefficients, shape (rows, p').
-    units
-        Torque of a gain of 1 for each of the joint's unknown gains at each delay, shape (rows, K).
+    unit_torques
+        Of each of the joint's unknown gains, the torque that it would exert if it were 1, at each delay,
+        shape (rows, K).
     known
         Torque of known gains, or as logged, at each delay, shape (rows, K).
     count
@@ -311,18 +319,25 @@ class _JointRows:
     """
 
     Y: Array
-    units: Mapping[GainName, Array]
+    unit_torques: Mapping[_Gain, Array]
     known: Array
     count: float
 
+    def unit_torque(self, name: GainName, weights: Array) -> Array | None:
+        """Torque of a gain of 1 between the delays, shape (rows,); None if the gain is not an unknown one."""
+        for gain, torques in self.unit_torques.items():
+            if gain.name == name:
+                return np.asarray(torques @ weights)
+        return None
+
     def residual_alone(self, weights: Array) -> float:
         """Norm of what coefficients of this joint alone leave of qcmd − q or, with known kp, of the torque."""
-        velocity = [self.units["kd"] @ weights] if "kd" in self.units else []
-        columns = [self.Y, *velocity]
+        position, velocity = self.unit_torque("kp", weights), self.unit_torque("kd", weights)
+        columns = [self.Y] if velocity is None else [self.Y, velocity]
         target = self.known @ weights
-        if "kp" in self.units:
+        if position is not None:
             columns.append(target)
-            target = self.units["kp"] @ weights
+            target = position
         return float(np.linalg.norm(projected_out(target[:, None], np.column_stack(columns))))
 
 
@@ -335,19 +350,19 @@ class _Estimate:
     z
         Free coefficients, shape (p',).
     gains
-        By joint and name.
+        The G gains in their order.
     delay
         [s].
     """
 
     z: Array
-    gains: Sequence[Mapping[GainName, float]]
+    gains: Mapping[_Gain, float]
     delay: float
 
     @property
     def values(self) -> Array:
-        """The gains one after the other, shape (G,)."""
-        return np.array([value for own in self.gains for value in own.values()])
+        """The gains, shape (G,)."""
+        return np.array(list(self.gains.values()))
 
 
 class _GainFit:
@@ -359,109 +374,106 @@ class _GainFit:
         The gains, and their standard errors for a given scale, shape (G,).
     scale
         What fixed the scale.
+    has_converged
+        False if the last step still changed a gain.
     """
 
     def __init__(self, experiment: Experiment, gains: Sequence[_Gain], progress: Progress) -> None:
-        self._equation, self._equalities = experiment.equation, experiment.equalities
-        self._names = [[gain.name for gain in gains if gain.index == j] for j in range(len(self._equation.joints))]
-        self._count = len(gains)
+        self._equation, self._equalities, self._gains = experiment.equation, experiment.equalities, gains
         controller = experiment.config.controller
         given = controller.known_delay if controller else None
         self._lags = DelayPolynomial(experiment.band_hz, given.value if given else None)
         data = experiment.blocks(
-            lambda run: _rows(experiment.equation, run, gains, self._lags), progress, "fitting the controller gains to"
+            lambda run: _torque_columns(experiment.equation, run, gains, self._lags),
+            progress,
+            "fitting the controller gains to",
         )
         total = merge_reductions([log.total for log in data])
         self._samples_per_independent = sum(f.rows for f in total) / sum(f.independent for f in total)
         rows = self._joint_rows(total)
         self.scale = _Scale(experiment, gains, [joint.Y for joint in rows])
         estimate = self._initial(rows)
+        self.has_converged = False
         for _ in range(_MOST_STEPS):
             previous = estimate
             estimate = self._step(rows, previous)
             if np.allclose(estimate.values, previous.values, rtol=_CONVERGED, atol=0):
+                self.has_converged = True
                 break
         self.values = estimate.values
         self.standard_errors = self._errors(data, total, estimate)
 
     def _joint_rows(self, data: Reduction) -> list[_JointRows]:
         """The rows of each joint."""
-        count = len(self._lags.delays)
         joints = []
-        for factor, columns, names in zip(data, self._equation.active(), self._names, strict=True):
+        for j, (factor, columns) in enumerate(zip(data, self._equation.active(), strict=True)):
             Y = factor.R[:, : len(columns)] @ self._equalities.K[columns]
-            units = {}
-            for i, name in enumerate(names):
-                first = len(columns) + i * count
-                units[name] = factor.R[:, first : first + count]
-            joints.append(_JointRows(Y, units, factor.R[:, -count:], factor.rows))
+            own = [gain for gain in self._gains if gain.index == j]
+            *unit_torques, known = np.split(factor.R[:, len(columns) :], len(own) + 1, axis=1)
+            joints.append(_JointRows(Y, dict(zip(own, unit_torques, strict=True)), known, factor.rows))
         return joints
 
     def _initial(self, rows: Sequence[_JointRows]) -> _Estimate:
         """The delay with the least residuals of the joints alone, and gains and friction with the prior's bodies."""
         delay = self._lags.delays[0]
         if len(self._lags.delays) > 1:
-            delay = minimizing_delay(lambda d: self._cost_alone(rows, self._lags.weights(d)))
+            delay = minimizing_delay(lambda d: _cost_of_joints_alone(rows, self._lags.weights(d)))
         weights = self._lags.weights(delay)
         z = self.scale.prior.copy()
-        gains = []
-        for joint, names in zip(rows, self._names, strict=True):
-            torque = joint.Y @ self.scale.prior
+        gains: dict[_Gain, float] = {}
+        for joint in rows:
             own = np.flatnonzero(self.scale.is_other & joint.Y.any(axis=0))
-            known = joint.known @ weights
-            velocity = [joint.units["kd"] @ weights] if "kd" in names else []
-            if "kp" in names:
-                error = joint.units["kp"] @ weights
-                if not error.any():
-                    what = "the position follows its command exactly, so that nothing tells the gain"
-                    raise ConfigError("controller.kp", f"{what}; log the command and the motion that it causes")
-                columns = np.column_stack([torque - known, joint.Y[:, own], *(-column for column in velocity)])
-                x, _ = scaled_least_squares(columns, error)
-                kp = 1 / x[0] if x[0] > 0 else float(np.linalg.norm(torque) / np.linalg.norm(error))
-                x = kp * x[1:]
-            else:
-                kp = 0.0
-                columns = np.column_stack([joint.Y[:, own], *(-column for column in velocity)])
-                x, _ = scaled_least_squares(columns, known - torque)
-            z[own] = np.maximum(x[: len(own)], self.scale.lower[own])
-            values = {"kp": kp, "kd": max(float(x[-1]), 0.0) if velocity else 0.0}
-            gains.append({name: values[name] for name in names})
+            values, own_z = self._initial_of_joint(joint, own, weights)
+            z[own] = np.maximum(own_z, self.scale.lower[own])
+            gains |= {gain: values[gain.name] for gain in joint.unit_torques}
         return _Estimate(z, gains, delay)
 
-    def _cost_alone(self, rows: Sequence[_JointRows], weights: Array) -> float:
-        """Negative log likelihood of the joints by themselves."""
-        return sum(joint.count * float(np.log(joint.residual_alone(weights) + _TINY)) for joint in rows)
+    def _initial_of_joint(self, joint: _JointRows, own: Indices, weights: Array) -> tuple[dict[GainName, float], Array]:
+        """Gains and coefficients that are not of bodies, those of the indices, with the prior's bodies."""
+        torque, known = joint.Y @ self.scale.prior, joint.known @ weights
+        position, velocity = joint.unit_torque("kp", weights), joint.unit_torque("kd", weights)
+        columns = [joint.Y[:, own]] if velocity is None else [joint.Y[:, own], -velocity]
+        kp = 0.0
+        if position is None:
+            x, _ = scaled_least_squares(np.column_stack(columns), known - torque)
+        else:
+            if not position.any():
+                what = "the position follows its command exactly, so that nothing tells the gain"
+                raise ConfigError("controller.kp", f"{what}; log the command and the motion that it causes")
+            relative, _ = scaled_least_squares(np.column_stack([torque - known, *columns]), position)
+            is_positive = relative[0] > 0
+            kp = 1 / relative[0] if is_positive else float(np.linalg.norm(torque) / np.linalg.norm(position))
+            x = kp * relative[1:]
+        kd = 0.0 if velocity is None else max(float(x[-1]), 0.0)
+        return {"kp": float(kp), "kd": kd}, x[: len(own)]
 
-    def _linearized(self, joint: _JointRows, j: int, estimate: _Estimate) -> tuple[Array, Array, Array]:
+    def _linearized(self, joint: _JointRows, estimate: _Estimate) -> tuple[Array, Array, Array]:
         """A joint's columns of gains and delay (rows, G + 1), right side and residual (rows,) at an estimate.
 
         The torque equation is Y z = columns · (gains, delay) + right side; see the module.
         """
         weights, slopes = self._lags.weights(estimate.delay), self._lags.slopes(estimate.delay)
-        own = estimate.gains[j]
-        columns = np.zeros((len(joint.Y), self._count + 1))
         known, of_delay = joint.known @ weights, joint.known @ slopes
+        columns = np.zeros((len(joint.Y), len(self._gains) + 1))
         residual = joint.Y @ estimate.z - known
-        for name, value in own.items():
-            residual = residual - value * (joint.units[name] @ weights)
-            of_delay = of_delay + value * (joint.units[name] @ slopes)
+        for i, (gain, value) in enumerate(estimate.gains.items()):
+            if gain in joint.unit_torques:
+                columns[:, i] = joint.unit_torques[gain] @ weights
+                residual = residual - value * columns[:, i]
+                of_delay = of_delay + value * (joint.unit_torques[gain] @ slopes)
         right = known - of_delay * estimate.delay
-        first = sum(map(len, self._names[:j]))
-        for i, (name, value) in enumerate(own.items()):
-            column = joint.units[name] @ weights
-            if name == "kp":
-                predicted = column + residual / value
-                right = right - residual  # kp (qcmd − q less what is predicted)
-                column = predicted
-            columns[:, first + i] = column
+        for i, (gain, value) in enumerate(estimate.gains.items()):
+            if gain in joint.unit_torques and gain.name == "kp":
+                columns[:, i] += residual / value  # qcmd − q as it is predicted
+                right = right - residual
         columns[:, -1] = of_delay
         return columns, right, residual
 
     def _noise(self, rows: Sequence[_JointRows], estimate: _Estimate) -> Array:
         """Rms residual of each joint, shape (nv,) [N·m or N]."""
         noise = []
-        for j, joint in enumerate(rows):
-            residual = float(np.linalg.norm(self._linearized(joint, j, estimate)[2]))
+        for joint in rows:
+            residual = float(np.linalg.norm(self._linearized(joint, estimate)[2]))
             torque = float(np.linalg.norm(joint.Y @ estimate.z))
             noise.append(max(residual, _LEAST_NOISE * torque, _TINY) / np.sqrt(max(joint.count, 1.0)))
         return np.array(noise)
@@ -471,87 +483,102 @@ class _GainFit:
     ) -> tuple[Array, Array, Array, Array]:
         """Rows of all joints in units of their noise: Y over z, columns, right side and residual of `_linearized`."""
         parts = []
-        for j, (joint, sigma) in enumerate(zip(rows, noise, strict=True)):
-            parts.append((joint.Y / sigma, *(part / sigma for part in self._linearized(joint, j, estimate))))
+        for joint, sigma in zip(rows, noise, strict=True):
+            parts.append((joint.Y / sigma, *(part / sigma for part in self._linearized(joint, estimate))))
         if with_soft:
             soft, values, _ = self.scale.soft()
             soft, values = (np.sqrt(self._samples_per_independent) * part for part in (soft, values))
-            parts.append((soft, np.zeros((len(soft), self._count + 1)), values, soft @ estimate.z - values))
+            parts.append((soft, np.zeros((len(soft), len(self._gains) + 1)), values, soft @ estimate.z - values))
         Y, columns, right, residual = (np.concatenate(part) for part in zip(*parts, strict=True))
         return Y, columns, right, residual
 
     def _step(self, rows: Sequence[_JointRows], estimate: _Estimate) -> _Estimate:
         """The next estimate by a Gauss-Newton step within bounds."""
-        from scipy.optimize import lsq_linear
-
         noise = self._noise(rows, estimate)
         Y, columns, right, _ = self._system(rows, estimate, noise, with_soft=True)
         constrained = self.scale.constrained(noise)
         right = right - Y @ constrained.z0
         Y = Y @ constrained.N
-        bounded = np.isfinite(constrained.lower)
-        before = np.append(estimate.values, estimate.delay)
-        is_kp = np.array([name == "kp" for names in self._names for name in names] + [False])
-        lower = np.where(is_kp, before / _LONGEST_STEP, 0.0)
-        upper = np.where(is_kp, before * _LONGEST_STEP, np.inf)
-        upper[-1] = MAX_DELAY
-        if len(self._lags.delays) == 1:
-            lower[-1], upper[-1] = estimate.delay - _TINY, estimate.delay + _TINY
-        A = np.column_stack([Y[:, bounded], -columns])
-        low = np.concatenate([constrained.lower[bounded], lower])
-        high = np.concatenate([np.full(np.count_nonzero(bounded), np.inf), upper])
-        rest = projected_out(np.column_stack([A, right]), Y[:, ~bounded])
-        R = np.asarray(np.linalg.qr(rest, mode="r"))
-        size = np.linalg.norm(R[:, :-1], axis=0)
-        size[size == 0] = 1.0
-        x = lsq_linear(R[:, :-1] / size, R[:, -1], bounds=(low * size, high * size), method="bvls").x / size
+        is_bounded = np.isfinite(constrained.lower)
+        lower, upper = self._bounds(estimate)
+        A = np.column_stack([Y[:, is_bounded], -columns])
+        low = np.concatenate([constrained.lower[is_bounded], lower])
+        high = np.concatenate([np.full(np.count_nonzero(is_bounded), np.inf), upper])
+        x = _bounded_least_squares(projected_out(np.column_stack([A, right]), Y[:, ~is_bounded]), low, high)
         y = np.zeros(Y.shape[1])
-        y[bounded] = x[: np.count_nonzero(bounded)]
-        y[~bounded], _ = scaled_least_squares(Y[:, ~bounded], right - A @ x)
-        values = iter(x[np.count_nonzero(bounded) :].tolist())
-        gains = [{name: next(values) for name in names} for names in self._names]
-        return _Estimate(constrained.z0 + constrained.N @ y, gains, next(values))
+        y[is_bounded], gains_and_delay = np.split(x, [np.count_nonzero(is_bounded)])
+        y[~is_bounded], _ = scaled_least_squares(Y[:, ~is_bounded], right - A @ x)
+        *values, delay = gains_and_delay.tolist()
+        return _Estimate(constrained.z0 + constrained.N @ y, dict(zip(self._gains, values, strict=True)), delay)
+
+    def _bounds(self, estimate: _Estimate) -> tuple[Array, Array]:
+        """Lower and upper bounds of gains and delay for the step from an estimate, shape (G + 1,)."""
+        lower, upper = [], []
+        for gain, value in estimate.gains.items():
+            is_kp = gain.name == "kp"
+            lower.append(value / _MOST_KP_RATIO if is_kp else 0.0)
+            upper.append(value * _MOST_KP_RATIO if is_kp else np.inf)
+        is_given = len(self._lags.delays) == 1
+        lower.append(estimate.delay - _TINY if is_given else 0.0)
+        upper.append(estimate.delay + _TINY if is_given else MAX_DELAY)
+        return np.array(lower), np.array(upper)
 
     def _errors(self, data: Sequence[Blocks], total: Reduction, estimate: _Estimate) -> Array:
         """Standard errors of the gains, shape (G,).
 
         They are those of scores in clusters of time, or by the number of independent samples if these are larger.
         """
-        noise = self._noise(self._joint_rows(total), estimate)
+        rows = self._joint_rows(total)
+        noise = self._noise(rows, estimate)
         N = self.scale.constrained(noise).N
-        Y, columns, _, _ = self._system(self._joint_rows(total), estimate, noise, with_soft=True)
-        moved, rank = scaled_least_squares(Y @ N, columns)
-        rest, size = columns - Y @ N @ moved, np.linalg.norm(columns, axis=0)
-        used = np.linalg.norm(rest, axis=0) > _DETERMINED * size  # a given delay has no column
+        Y, columns, _, _ = self._system(rows, estimate, noise, with_soft=True)
+        of_columns, rank = scaled_least_squares(Y @ N, columns)  # what coefficients explain of them
+        rest, size = columns - Y @ N @ of_columns, np.linalg.norm(columns, axis=0)
         self._check_determined(rest, size)
-        bread = np.linalg.inv(rest[:, used].T @ rest[:, used])
+        has_column = np.linalg.norm(rest, axis=0) > _LEAST_REST * size  # a given delay has none
+        information = rest[:, has_column].T @ rest[:, has_column]
+        inverse = np.linalg.inv(information)
+        variance = np.diag(inverse) * self._samples_per_independent
         scores = []
         length = max(sum(map(len, data)) // _CLUSTERS, 1)
         for log in data:
             for cluster in log.regrouped(length).parts:
-                own_Y, own_columns, _, residual = self._system(
-                    self._joint_rows(cluster), estimate, noise, with_soft=False
-                )
-                scores.append((own_columns - own_Y @ N @ moved)[:, used].T @ residual)
-        variance = np.diag(bread) * self._samples_per_independent
+                cluster_rows = self._joint_rows(cluster)
+                own_Y, own_columns, _, residual = self._system(cluster_rows, estimate, noise, with_soft=False)
+                own_rest = (own_columns - own_Y @ N @ of_columns)[:, has_column]
+                scores.append(own_rest.T @ residual)
         if len(scores) >= FEWEST_CLUSTERS:
             _, values, weights = self.scale.soft()
-            soft = rest[len(rest) - len(values) :, used] * (weights * np.sqrt(self._samples_per_independent))[:, None]
-            meat = np.atleast_2d(len(scores) * np.cov(np.transpose(scores))) / freedom_left(total, rank)
-            robust = np.diag(bread @ (meat + soft.T @ soft) @ bread)
+            soft = rest[len(rest) - len(values) :, has_column]
+            soft = soft * (weights * np.sqrt(self._samples_per_independent))[:, None]
+            scatter = np.atleast_2d(len(scores) * np.cov(np.transpose(scores))) / freedom_left(total, rank)
+            robust = np.diag(inverse @ (scatter + soft.T @ soft) @ inverse)
             variance = np.maximum(variance, robust)
-        return np.asarray(np.sqrt(variance[: self._count]))
+        return np.asarray(np.sqrt(variance[: len(self._gains)]))
 
     def _check_determined(self, rest: Array, size: Array) -> None:
         """Refuse gains whose columns the others explain; ConfigError."""
-        place = 0
-        for joint, names in zip(self._equation.joints, self._names, strict=False):
-            for name in names:
-                own = projected_out(rest[:, [place]], np.delete(rest, place, axis=1))
-                if np.linalg.norm(own) <= _DETERMINED * size[place]:
-                    what = f"the logs do not tell {name} of {joint} from the coefficients of the model"
-                    raise ConfigError(f"controller.{name}", f"{what}; give a number, or log other motions")
-                place += 1
+        for i, gain in enumerate(self._gains):
+            own = projected_out(rest[:, [i]], np.delete(rest, i, axis=1))
+            if np.linalg.norm(own) <= _LEAST_REST * size[i]:
+                what = f"the logs do not tell {gain.name} of {gain.joint} from the coefficients of the model"
+                raise ConfigError(f"controller.{gain.name}", f"{what}; give a number, or log other motions")
+
+
+def _cost_of_joints_alone(rows: Sequence[_JointRows], weights: Array) -> float:
+    """Negative log likelihood of the joints by themselves."""
+    return sum(joint.count * float(np.log(joint.residual_alone(weights) + _TINY)) for joint in rows)
+
+
+def _bounded_least_squares(rows: Array, lower: Array, upper: Array) -> Array:
+    """Solution of least squares between bounds; the right side is the last column of the rows, shape (n, m + 1)."""
+    from scipy.optimize import lsq_linear
+
+    R = np.asarray(np.linalg.qr(rows, mode="r"))
+    size = np.linalg.norm(R[:, :-1], axis=0)
+    size[size == 0] = 1.0
+    result = lsq_linear(R[:, :-1] / size, R[:, -1], bounds=(lower * size, upper * size), method="bvls")
+    return np.asarray(result.x / size)
 
 
 @dataclass(frozen=True)
@@ -694,8 +721,8 @@ def _known_values_determine_scale(experiment: Experiment, joints: Sequence[int])
     unseen = null_space(B / np.linalg.norm(B, axis=1)[:, None])
     changed = np.array(rows) @ unseen
     needed = np.array(values)
-    achieved = changed @ np.linalg.lstsq(changed, needed, rcond=_INFORMATIVE)[0]
-    return bool(np.linalg.norm(needed - achieved) > _INFORMATIVE * np.linalg.norm(needed))
+    achieved = changed @ np.linalg.lstsq(changed, needed, rcond=_LEAST_INFORMATION)[0]
+    return bool(np.linalg.norm(needed - achieved) > _LEAST_INFORMATION * np.linalg.norm(needed))
 
 
 def _prior_theta(experiment: Experiment, fixes_scale: bool) -> Array:

@@ -11,7 +11,7 @@ from idtool.estimation.uncertainty.welch import FALSE_DISCOVERIES
 from idtool.reporting.compared_parameters import (
     OTHER_COMBINATION,
     compare_parameters,
-    decisive,
+    deciding,
     p_limit,
     relative_sensitivity,
 )
@@ -45,7 +45,7 @@ def compare_report(a: StoredFit, b: StoredFit) -> ComparisonReport:
         The results.
     """
     parameters = compare_parameters(a.report, b.report)
-    about = decisive(parameters)
+    about = deciding(parameters)
     compared = [p for p in about if p.differs is not None]
     differing = [p for p in compared if p.differs]
     in_both = [name for name in a.report.joints if name in b.report.joints]
@@ -166,8 +166,8 @@ def _answer_text(
 
 
 def _distance(p: ComparedParameter) -> float:
-    """Difference in standard errors."""
-    return abs(p.difference) / p.standard_error if p.difference is not None and p.standard_error else 0.0
+    """Size of the difference in standard errors."""
+    return abs(p.difference_in_errors or 0.0)
 
 
 def _common_owners(differing: Sequence[ComparedParameter], compared: Sequence[ComparedParameter]) -> list[str]:

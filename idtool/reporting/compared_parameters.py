@@ -18,18 +18,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri, stdtridf, stdtrit
 
+from idtool.common.units import INERTIA_UNITS, friction_units
 from idtool.dynamics.effects import effect_name, target_name
 from idtool.estimation.uncertainty.standard_errors import CONFIDENCE
 from idtool.estimation.uncertainty.welch import FALSE_DISCOVERIES, significant_differences, welch_p_values
 from idtool.reporting.results.comparison import ComparedParameter, ComparedValue, ParameterKind
 from idtool.reporting.results.fit import BaseParameter, FitReport, FrictionErrors
-from idtool.reporting.sections.fit import friction_units
 from idtool.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 
 OTHER_COMBINATION = "another combination"
 _QUANTILE = 0.5 + CONFIDENCE / 2
-_NORMAL_FACTOR = 1.96  # half the width of an interval in standard errors, if these are known exactly
-_SHARES = 1e-3  # relative, by which the terms of the same base parameter may differ
+_NORMAL_HALF_WIDTH = 1.96  # of an interval, in standard errors that are known exactly
+_FACTOR_TOLERANCE = 1e-3  # relative, within which the factors of the same base parameter agree
 _CLEARLY_NOT_ZERO = 3.0  # standard errors
 _MAX_NUMBER = 1e60  # beyond which squares of estimates, or of their ratios to errors, overflow
 _MAX_ITEMS = 100  # of a parameter that is a list
@@ -74,16 +74,15 @@ def compare_parameters(a: FitReport, b: FitReport) -> list[ComparedParameter]:
     names = {key: parameter for parameters in (in_b, in_a) for key, parameter in parameters.items()}
     order = list(dict.fromkeys([*in_a, *in_b]))
     compared = [_paired(key, names[key], in_a.get(key), in_b.get(key)) for key in order]
-    p_values = np.array([math.nan if p.p_value is None else p.p_value for p in compared])
     limit = p_limit(compared)
     results = []
-    for parameter, p_value in zip(compared, p_values.tolist(), strict=True):
-        differs = None if math.isnan(p_value) else limit is not None and p_value <= limit
+    for parameter in compared:
+        differs = None if parameter.p_value is None else limit is not None and parameter.p_value <= limit
         results.append(parameter.model_copy(update={"differs": differs}))
     return results
 
 
-def decisive(parameters: Sequence[ComparedParameter]) -> list[ComparedParameter]:
+def deciding(parameters: Sequence[ComparedParameter]) -> list[ComparedParameter]:
     """Parameters that the answer is about: the base parameters and the controller's, or all if none is compared.
 
     Parameters
@@ -103,7 +102,7 @@ def p_limit(parameters: Sequence[ComparedParameter]) -> float | None:
     parameters
         All parameters.
     """
-    tested = np.array([p.p_value for p in decisive(parameters) if p.p_value is not None])
+    tested = np.array([p.p_value for p in deciding(parameters) if p.p_value is not None])
     significant = tested[significant_differences(tested)]
     return float(significant.max()) if len(significant) else None
 
@@ -145,9 +144,8 @@ def _reason(a: Parameter | None, b: Parameter | None) -> str:
     others = {name: source for name, source in sources.items() if source != "data"}
     if not others:
         return ""
-    if len(set(others.values())) == 1:
-        where = "A and B" if len(others) == 2 else next(iter(others))
-        return f"{next(iter(others.values()))} in {where}"
+    if sources["A"] == sources["B"]:
+        return f"{sources['A']} in A and B"
     return ", ".join(f"{source} in {name}" for name, source in others.items())
 
 
@@ -168,19 +166,19 @@ def _is_same_combination(a: Parameter, b: Parameter) -> bool:
         return True
     if a.terms.keys() != b.terms.keys():
         return False
-    return all(math.isclose(share, b.terms[term], rel_tol=_SHARES) for term, share in a.terms.items())
+    return all(math.isclose(share, b.terms[term], rel_tol=_FACTOR_TOLERANCE) for term, share in a.terms.items())
 
 
 def _parameters(report: FitReport) -> dict[Key, Parameter]:
     """All parameters of a result."""
-    scatter = _Scatter(report)
+    factors = _ErrorFactors(report)
     parameters: dict[Key, Parameter] = {}
     for collect in (_base_parameters, _body_parameters, _friction, _rotors, _effects, _whole_robot, _controller):
-        parameters.update(collect(report, scatter))
+        parameters.update(collect(report, factors))
     return parameters
 
 
-class _Scatter:
+class _ErrorFactors:
     """Factors by which the logs of a result scatter more than their standard errors predict, at least 1.
 
     Parameters
@@ -219,7 +217,7 @@ def _with_interval(
     value: float,
     error: float | None,
     interval: tuple[float, float] | None,
-    scatter: float,
+    factor: float,
     rests_on: str | None = None,
     terms: Mapping[tuple[str, str], float] | None = None,
 ) -> Parameter:
@@ -230,9 +228,9 @@ def _with_interval(
     if error is not None and interval is not None and _is_error(error) and is_usable:
         low, high = interval
         estimate = low + high - value
-        factor = (high - low - abs(estimate - value)) / 2 / error
-        freedom = _degrees_of_freedom(factor)
-        error *= scatter
+        half_width = (high - low - abs(estimate - value)) / 2
+        freedom = _degrees_of_freedom(half_width / error)
+        error *= factor
     else:
         error = interval = None
     return Parameter(
@@ -252,13 +250,13 @@ def _with_interval(
     )
 
 
-def _with_error(name: str, unit: str, value: float, error: float | None, freedom: float, scatter: float) -> Parameter:
+def _with_error(name: str, unit: str, value: float, error: float | None, freedom: float, factor: float) -> Parameter:
     """A parameter of which no interval is reported: its value in the model stands for the estimate from the data."""
     interval = None
     if error is not None and math.isfinite(error):
         half_width = float(stdtrit(freedom, _QUANTILE)) * error
         interval = value - half_width, value + half_width
-    return _with_interval(name, unit, value, error, interval, scatter)
+    return _with_interval(name, unit, value, error, interval, factor)
 
 
 def _is_error(error: float) -> bool:
@@ -266,17 +264,17 @@ def _is_error(error: float) -> bool:
     return 1 / _MAX_NUMBER < error < _MAX_NUMBER
 
 
-def _degrees_of_freedom(factor: float) -> float:
+def _degrees_of_freedom(half_width: float) -> float:
     """Degrees of freedom of a standard error, from half the width of the 95 % interval in standard errors."""
-    if factor <= _NORMAL_FACTOR:
+    if half_width <= _NORMAL_HALF_WIDTH:
         return math.inf
-    freedom = float(stdtridf(_QUANTILE, factor))
+    freedom = float(stdtridf(_QUANTILE, half_width))
     return max(freedom, 1.0) if math.isfinite(freedom) else math.inf
 
 
-def _base_parameters(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key, Parameter]]:
+def _base_parameters(report: FitReport, factors: _ErrorFactors) -> Iterator[tuple[Key, Parameter]]:
     base: Iterable[BaseParameter] = report.base_parameters.parameters if report.base_parameters else ()
-    for p, factor in zip(base, scatter.of_base, strict=True):
+    for p, factor in zip(base, factors.of_base, strict=True):
         if p.terms:
             own = p.terms[0]
             terms = {(term.of, term.what): term.share for term in p.terms}
@@ -284,7 +282,7 @@ def _base_parameters(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key
             yield ("base", own.of, own.what), parameter
 
 
-def _body_parameters(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key, Parameter]]:
+def _body_parameters(report: FitReport, factors: _ErrorFactors) -> Iterator[tuple[Key, Parameter]]:
     for name, body in report.bodies.items():
         for i, (what, unit) in enumerate(zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)):
             yield (
@@ -295,13 +293,13 @@ def _body_parameters(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key
                     float(body.pi[i]),
                     float(body.standard_error[i]),
                     body.interval[i],
-                    scatter.of(name, what),
+                    factors.of(name, what),
                     body.rests_on[i].on if body.rests_on else None,
                 ),
             )
 
 
-def _friction(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key, Parameter]]:
+def _friction(report: FitReport, factors: _ErrorFactors) -> Iterator[tuple[Key, Parameter]]:
     for joint, friction in report.friction.items():
         intervals = report.friction_intervals.get(joint)
         viscous_unit, dry_unit = friction_units(report.units[joint])
@@ -311,20 +309,20 @@ def _friction(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key, Param
                 error = getattr(friction.standard_error, term)
                 interval = getattr(intervals, term) if intervals else None
                 unit = viscous_unit if term == "viscous" else dry_unit
-                parameter = _with_interval(joint, unit, value, error, interval, scatter.of(joint, term))
+                parameter = _with_interval(joint, unit, value, error, interval, factors.of(joint, term))
                 yield ("friction", joint, term), parameter
 
 
-def _rotors(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key, Parameter]]:
+def _rotors(report: FitReport, factors: _ErrorFactors) -> Iterator[tuple[Key, Parameter]]:
     for rotor, joints in report.rotors.items():
         for joint, inertia in joints.items():
-            unit = "kg" if report.units.get(joint) == "N" else "kg·m²"
+            unit = INERTIA_UNITS[report.units.get(joint, "N·m")]
             value, error, interval = inertia.reflected_inertia, inertia.standard_error, inertia.interval
-            parameter = _with_interval(rotor, unit, value, error, interval, scatter.overall)
+            parameter = _with_interval(rotor, unit, value, error, interval, factors.overall)
             yield ("rotor", rotor, f"reflected inertia at {joint}"), parameter
 
 
-def _effects(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key, Parameter]]:
+def _effects(report: FitReport, factors: _ErrorFactors) -> Iterator[tuple[Key, Parameter]]:
     freedom = _report_freedom(report)
     for effect in report.effects:
         owner = f"{effect_name(effect.effect)} on {target_name(effect.effect, effect.joint, effect.link)}"
@@ -332,7 +330,7 @@ def _effects(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key, Parame
             errors = effect.standard_error.get(name)
             unit = effect.units.get(name) or ""
             for label, value, error in _numbers_of(name.replace("_", " "), given, errors):
-                parameter = _with_error(owner, unit, value, error, freedom, scatter.overall)
+                parameter = _with_error(owner, unit, value, error, freedom, factors.overall)
                 yield ("effect", owner, label), parameter
 
 
@@ -347,7 +345,7 @@ def _numbers_of(name: str, given: object, errors: object) -> Iterator[tuple[str,
         yield name, float(given), float(errors) if isinstance(errors, float | int) else None
 
 
-def _whole_robot(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key, Parameter]]:
+def _whole_robot(report: FitReport, factors: _ErrorFactors) -> Iterator[tuple[Key, Parameter]]:
     freedom = _report_freedom(report)
     robot = report.whole_robot
     if robot is not None:
@@ -355,20 +353,20 @@ def _whole_robot(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key, Pa
         for axis, value, error in zip("xyz", robot.com.tolist(), robot.com_standard_error, strict=True):
             values[f"centre of mass, {axis}"] = value, error, "m"
         for what, (value, error, unit) in values.items():
-            parameter = _with_error("whole robot", unit, value, error, freedom, scatter.overall)
+            parameter = _with_error("whole robot", unit, value, error, freedom, factors.overall)
             yield ("whole_robot", "whole robot", what), parameter
     feet = report.foot_compliance
     if feet is not None:
-        parameter = _with_error("feet", "m/N", feet.value, feet.standard_error, freedom, scatter.overall)
+        parameter = _with_error("feet", "m/N", feet.value, feet.standard_error, freedom, factors.overall)
         yield ("whole_robot", "feet", "compliance"), parameter
 
 
-def _controller(report: FitReport, scatter: _Scatter) -> Iterator[tuple[Key, Parameter]]:
+def _controller(report: FitReport, factors: _ErrorFactors) -> Iterator[tuple[Key, Parameter]]:
     controller = report.controller
     if controller is not None and controller.fitted is not None:
         freedom = _report_freedom(report)
         error = controller.standard_error
-        parameter = _with_error("controller", "s", controller.fitted, error, freedom, scatter.overall)
+        parameter = _with_error("controller", "s", controller.fitted, error, freedom, factors.overall)
         yield ("controller", "controller", "delay"), parameter
 
 

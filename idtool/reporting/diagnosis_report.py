@@ -11,7 +11,7 @@ from idtool.diagnosis.comparison import Comparison
 from idtool.diagnosis.records import Candidate, Diagnosis, DiagnosisStep, EffectProfile, ErrorSummary, ResidualProfile
 from idtool.dynamics.effects import effect_from_entry
 from idtool.estimation.dataset.kinematic_checks import KINEMATIC_FAULTS
-from idtool.reporting.comparison_report import comparison_report
+from idtool.reporting.against_report import against_report
 from idtool.reporting.diagnosis_text import next_steps, summary
 from idtool.reporting.diagnosis_verdict import diagnosis_reasons
 from idtool.reporting.fit_report import fit_report, parameter_units
@@ -89,7 +89,7 @@ def diagnosis_report(diagnosis: Diagnosis, inertia: str, comparison: Comparison 
         ),
         notices=notice_fields([*diagnosis.faults, *warnings])["notices"],
         warnings=notice_fields(warnings)["warnings"],
-        against=comparison_report(comparison) if comparison else None,
+        against=against_report(comparison) if comparison else None,
         seconds=diagnosis.seconds,
         summary="",
         next=(),

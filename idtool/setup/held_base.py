@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.estimation.dataset.contact_detection import flag_channels, is_any_set, measured_loads
 from idtool.estimation.dataset.experiment import Experiment, Run
 
-_GRAVITY = 9.81  # m/s²
 _IN_FLIGHT = 0.5  # of gravity, below which a robot that nothing holds has its acceleration
 _AVERAGE = 0.3  # s
 _WIDENING = 0.12  # s, by which contacts last longer than their flags
@@ -39,7 +39,7 @@ def _is_held(run: Run, experiment: Experiment) -> bool:
         t = log.start + batch.t
         samples = max(round(_AVERAGE / (log.dt * batch.low_pass.stride)), 1)
         mean = uniform_filter1d(proper_acceleration, samples, axis=1)
-        is_supported = np.linalg.norm(mean, axis=0) > _IN_FLIGHT * _GRAVITY
+        is_supported = np.linalg.norm(mean, axis=0) > _IN_FLIGHT * STANDARD_GRAVITY
         held += int((is_supported & ~is_any_set(closed, t, _WIDENING)).sum())
         count += len(t)
     return held > _MIN_SHARE * count

@@ -73,7 +73,7 @@ def test_a_log_is_what_the_reader_reads_and_cannot_be_changed() -> None:
     assert (log.qcmd, log.vcmd) == (None, None)
     assert log.rate == pytest.approx(1000)
     assert log.seconds == pytest.approx(log.t[-1] - log.t[0])
-    assert repr(log) == "Log leg_train.mcap: 3 joints (abad, hip, knee), 9.999 s at 1000 Hz: q, v, tau"
+    assert repr(log) == "Log leg_train.mcap: 3 joints (abad, hip, knee), 10 s at 1000 Hz: q, v, tau"
 
 
 def test_a_logs_options_are_the_readers(tmp_path: Path) -> None:

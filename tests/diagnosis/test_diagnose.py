@@ -171,7 +171,7 @@ def test_of_a_log_of_two_seconds_agreement_is_not_reported(folder: Path) -> None
     short.write_text("\n".join(lines) + "\n")
     report = diagnosed(replace(files, logs=(short,)), folder / "short", "--no-simulation")
     assert (report["verdict"], report["noise_floor"]["overall"]) == ("unexplained", None)
-    assert report["summary"].startswith("It is not known whether model and data agree.")
+    assert report["summary"].startswith("It is not known whether model and data agree: ")
     assert "noise_floor_unknown" in [notice["code"] for notice in report["notices"]]
 
 

@@ -27,8 +27,10 @@ def test_rotors_that_the_model_lacks_do_not_move_the_delay(tmp_path: Path) -> No
     experiment = prepare(read_robot(tmp_path / "arm.urdf"), config, [tmp_path / "robot.csv"], holdout=0.3)
 
     _, biased, _ = with_delay(experiment, silent)
-    fitted, delay = with_unbiased_delay(experiment, silent)
+    fitted, _ = with_unbiased_delay(experiment, silent)
     assert biased is not None
+    assert fitted.config.controller is not None
+    delay = fitted.config.controller.known_delay
     assert delay is not None
     assert delay.value == pytest.approx(DELAY + HELD, abs=1e-4)
     assert biased.value > DELAY + HELD + 5e-4

@@ -20,6 +20,7 @@ from position_leg import GAINS, KD, KP, noisy, position_controlled
 
 from idtool.common.exceptions import ConfigError
 from idtool.data.logs import JointLog
+from idtool.estimation import controller_gains
 from idtool.estimation.controller_gains import ControllerGains, with_gains
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.fit import fit
@@ -169,6 +170,11 @@ def test_standard_errors_are_those_of_noise() -> None:
         expected = np.sqrt(np.mean(np.square(errors), axis=0))
         assert (scatter / expected < 1.8).all()  # 8 values tell it to 25 %
         assert (scatter / expected > 0.2).all()  # errors of the model count too
+
+
+def test_a_search_that_has_not_converged_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(controller_gains, "_MOST_STEPS", 1)
+    assert "controller_gains_not_converged" in {notice.code for notice in fitted_gains(FIT, **SHANK).notices}
 
 
 def test_kd_is_not_told_from_viscous_friction_without_a_velocity_command() -> None:

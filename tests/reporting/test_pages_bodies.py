@@ -112,8 +112,8 @@ def test_the_split_of_a_union_stands_beside_the_figure() -> None:
     page = page_of({"b": body})
     assert [row for row in page.rows if len(row) == 3][1:] == [
         ["1: ellipsoid", "0.200", "0.0000, 0.0000, -0.1000"],
-        ["2: ellipsoid", "0.000", "–"],
-        ["3: box", "0.4000", "0.1000, 0.0000, 0.0000"],
+        ["2: ellipsoid", "0.00", "–"],
+        ["3: box", "0.400", "0.1000, 0.0000, 0.0000"],
     ]
     assert f"A copy of {SCRIPT}." in page.text
 

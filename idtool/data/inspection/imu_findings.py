@@ -14,6 +14,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
 from idtool.common.number_text import short_number
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.data.base_sensors import ACCELEROMETER, GYROSCOPE, ORIENTATION
 from idtool.data.logs.log import JointLog
 from idtool.data.logs.sensor_channels import finite_samples, is_dead
@@ -22,7 +23,6 @@ from idtool.data.smoothing import moving_mean
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-_GRAVITY = 9.81  # m/s²
 _MAX_SAMPLES = 1 << 16
 _AVERAGE = 1.0  # s, over which the acceleration of a motion averages out
 _WITHOUT_GRAVITY = 0.5  # of gravity, below which the mean acceleration has none
@@ -53,18 +53,18 @@ def imu_findings(log: JointLog) -> Iterator[Notice]:
     samples = max(round(_AVERAGE / log.dt), 1)
     mean = moving_mean(acceleration, samples)
     size = float(np.median(np.linalg.norm(mean, axis=0)))
-    if abs(size * _GRAVITY - _GRAVITY) < _TOLERANCE * _GRAVITY:
+    if abs(size * STANDARD_GRAVITY - STANDARD_GRAVITY) < _TOLERANCE * STANDARD_GRAVITY:
         message = f"the acceleration is {short_number(size)} on average: it is in g, not in m/s²"
         yield Notice("imu_unit", "problem", "imu", message, "multiply it by 9.81 when you log it")
         return
-    if size < _WITHOUT_GRAVITY * _GRAVITY:
+    if size < _WITHOUT_GRAVITY * STANDARD_GRAVITY:
         message = (
             f"the acceleration is {short_number(size)} m/s² on average instead of 9.81: gravity was removed from it"
         )
         advice = "log what the accelerometer measures, which includes gravity"
         yield Notice("imu_without_gravity", "problem", "imu", message, advice)
         return
-    if abs(size - _GRAVITY) > _TOLERANCE * _GRAVITY:
+    if abs(size - STANDARD_GRAVITY) > _TOLERANCE * STANDARD_GRAVITY:
         message = f"the acceleration is {short_number(size)} m/s² on average instead of 9.81"
         yield Notice("imu_scale", "warning", "imu", message, "check the unit and the calibration of the accelerometer")
     if not all(name in channels and len(channels[name].t) for name in ORIENTATION):

@@ -15,6 +15,7 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.data.signals import Motion
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects.effect import Coefficient, Effect
@@ -26,7 +27,6 @@ from idtool.robot.model import WRENCH_SIZE, RobotModel
 EFFECT = "foot_compliance"
 OWNER = "feet"
 
-_GRAVITY = 9.81  # m/s²
 _ARM = 0.3  # m, of a typical moment of the weight
 _JOINT_SHARE = 0.02  # of this moment, that the torque of a leg may be wrong by
 _BASE_SHARE = 0.2  # of the weight and its moment, that the masses may be wrong by
@@ -49,7 +49,7 @@ class FootCompliance(Effect):
     """
 
     def __init__(self, model: RobotModel, contacts: Sequence[Contact], prior: float) -> None:
-        weight = _GRAVITY * model.mass
+        weight = STANDARD_GRAVITY * model.mass
         radii = [contact.radius for contact in contacts if contact.is_compliant]
         largest = max(radii) / (weight / _SUPPORTING_FEET)
         self.coefficients = (

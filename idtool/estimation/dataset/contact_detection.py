@@ -21,6 +21,7 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.common.number_text import short_number
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.data.base_sensors import BaseSensors
 from idtool.data.contact_channels import ContactChannels
 from idtool.data.logs.log import Channel, JointLog
@@ -41,7 +42,6 @@ _MIN_LEG_JOINTS = 3  # that determine the force on a foot
 _MIN_CARRIED, _MAX_CARRIED = 0.5, 2.0  # of the weight, by the torque: beyond what wrong masses in a URDF account for
 _NO_LOAD = 0.1  # of the weight: the robot hangs from something that the configuration does not know
 _MIN_SUPPORTED_SAMPLES = 40
-_GRAVITY = 9.81  # m/s²
 _MIN_GRAM = 1e-9  # m², added to J Jᵀ, which is singular for a straight leg
 _MIN_SINGULAR_RATIO = 0.15  # smallest over largest singular value of J, from which the torque tells the force
 
@@ -195,7 +195,7 @@ def measured_loads(contacts: Sequence[Contact], log: JointLog, model: RobotModel
             continue
         t = log.channels[contact.force[0]].t
         force = np.stack([log.channels[name].at(t) for name in contact.force])
-        is_loaded = np.linalg.norm(force, axis=0) > _MIN_CONTACT_LOAD * _GRAVITY * model.mass
+        is_loaded = np.linalg.norm(force, axis=0) > _MIN_CONTACT_LOAD * STANDARD_GRAVITY * model.mass
         channels.append(Channel(t, is_loaded.astype(float)))
     return channels
 
@@ -268,7 +268,7 @@ def foot_loads(log: JointLog, model: RobotModel, config: Config, feet: Sequence[
         shape = (len(feet), 1)
         ones = np.ones(shape)
         return FootLoads(tuple(feet), np.array([log.start]), ones, ones, np.zeros(shape, dtype=bool))
-    weight = _GRAVITY * model.mass
+    weight = STANDARD_GRAVITY * model.mass
     return FootLoads(
         feet=tuple(feet),
         t=np.concatenate(times),

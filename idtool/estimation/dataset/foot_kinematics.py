@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.data.base_sensors import PoseSensors
 from idtool.data.contact_channels import ContactSamples
 from idtool.data.logs.log import JointLog
@@ -25,7 +26,6 @@ from idtool.robot.config import Contact
 from idtool.robot.model import RobotModel
 
 _MIN_WEIGHT_SHARE = 0.05  # of the robot's weight, from which a measured force tells that a foot is on the ground
-_GRAVITY = 9.81  # m/s²
 _MAX_SECONDS = 60.0  # of a stretch
 
 
@@ -190,5 +190,5 @@ def _is_closed(foot: Contact, model: RobotModel, log: JointLog, t: Array) -> Mas
     if foot.flag_channel is not None:
         return log.channels[foot.flag_channel].is_set(t)
     force = np.stack([log.channels[name].at(t) for name in foot.force or ()])
-    least = _MIN_WEIGHT_SHARE * _GRAVITY * model.mass
+    least = _MIN_WEIGHT_SHARE * STANDARD_GRAVITY * model.mass
     return np.asarray(np.linalg.norm(force, axis=0) > least)

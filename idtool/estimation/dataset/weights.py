@@ -11,6 +11,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.linear_algebra import add_to_triangle, least_squares
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Factor, Reduction
@@ -21,7 +22,6 @@ _RANK = 1e-10  # of the largest singular value: what lies below is not determine
 _WEIGHINGS = 2  # of the joints by their noise
 _GUESSED_SHARE = 0.02  # of a joint's torque, or of the weight: first guess of the noise
 _GUESSED_ARM = 0.1  # m, at which the noise of a force acts
-_GRAVITY = 9.81  # m/s²
 _LEAST_NOISE = 1e-4  # of a joint's torque, so that data without noise have weights that the solver can handle
 
 
@@ -124,7 +124,7 @@ def initial_row_noise(model: RobotModel, torque: Array) -> Array:
     torque
         RMS torque of the joints, shape (joints,) [N·m or N].
     """
-    weight = _GRAVITY * max(model.mass, 1.0)
+    weight = STANDARD_GRAVITY * max(model.mass, 1.0)
     force = _GUESSED_SHARE * weight
     typical = float(np.median(torque)) or 1.0
     joints = _GUESSED_SHARE * np.maximum(torque, 0.1 * typical)

@@ -13,6 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.notice import Notice
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.data.signals import Signals
 from idtool.robot.config import Config
 from idtool.robot.inverse_dynamics import inverse_dynamics
@@ -20,7 +21,6 @@ from idtool.robot.model import RobotModel
 
 _MIN_CORRELATION = 0.5  # of a force with that of the URDF's bodies, from which it tells the sign
 _MIN_CARRIED_SHARE = 0.15  # of the robot's weight on a contact, from which it tells the sign
-_GRAVITY = 9.81  # m/s²
 
 
 def sign_notices(signals: Signals, model: RobotModel, config: Config) -> Iterator[Notice]:
@@ -66,7 +66,7 @@ def sensor_signs(signals: Signals, model: RobotModel, config: Config) -> dict[st
         if not support[contact_bodies, first].any():
             agreement = _correlation(measured, expected) / _MIN_CORRELATION
         elif model.has_floating_base:
-            agreement = _carried_force(measured, expected) / (_MIN_CARRIED_SHARE * _GRAVITY * model.mass)
+            agreement = _carried_force(measured, expected) / (_MIN_CARRIED_SHARE * STANDARD_GRAVITY * model.mass)
         else:
             continue
         if abs(agreement) > 1:

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import empty
@@ -38,7 +39,6 @@ from idtool.robot.sets import ConstraintSet
 _GAP = 0.1  # that half the squared distance in standard errors may be above its least
 _EARLY = 4.0  # the noise forgets the start, when the parameters were the prior's, with this power of the time
 _LEAST_NOISE = 1e-2  # of a joint's torque
-_GRAVITY = 9.81  # m/s²: what a joint carries, it carries on earth
 
 
 class RecursiveFit:
@@ -204,7 +204,7 @@ def units(equation: LinearModel, model: RobotModel) -> Array:
         np.array([c.scale or 0.0 for c in coefficients[k : PI_SIZE * len(model.bodies) : PI_SIZE]]) for k in (0, 1)
     )
     turning = np.array([joint.kind != "prismatic" for joint in model.joints])
-    carried = _GRAVITY * np.where(turning, moment @ model.support(), mass @ model.support())
+    carried = STANDARD_GRAVITY * np.where(turning, moment @ model.support(), mass @ model.support())
     load = {name: float(x) for name, x in zip(equation.joints, carried, strict=True) if x > 0}
     typical = max(load.values(), default=1.0)
     return np.array([c.scale or load.get(c.owner, typical) for c in coefficients])

@@ -28,6 +28,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.excitation.patterns import MotionSamples
 from idtool.excitation.standing.feet import Foot
 from idtool.excitation.standing.rotations import (
@@ -39,7 +40,6 @@ from idtool.robot.kinematics import body_jacobians, body_motions, body_placement
 from idtool.robot.model import RobotModel
 
 BASE_MOTION = ("base_x", "base_y", "base_z", "base_roll", "base_pitch", "base_yaw")
-GRAVITY = 9.81  # m/s²
 _BASE_SIZE = len(BASE_MOTION)
 _MIN_INDEPENDENT_SHARE = 0.03  # of a unit of an independent coordinate, that constraints and other coordinates leave
 _MIN_SINGULAR_RATIO = 0.003  # smallest over largest singular value of independent constraints
@@ -291,7 +291,7 @@ class StandingKinematics:
         dphi, ddphi = dw[n + 3 :].T[:, :, None], ddw[n + 3 :].T[:, :, None]
         turn = to_turn @ dphi
         turn_acceleration = to_turn @ ddphi + to_turn_rate @ dphi
-        proper = (ddw[n : n + 3].T + GRAVITY * _UP)[:, :, None]
+        proper = (ddw[n : n + 3].T + STANDARD_GRAVITY * _UP)[:, :, None]
         to_base = R.transpose(0, 2, 1)
 
         q, v, a = np.zeros((3, len(self.model.joints), w.shape[1]))

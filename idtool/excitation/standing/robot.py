@@ -11,13 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.data.contact_channels import ContactSamples
 from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel
 from idtool.excitation.limits import Limits
 from idtool.excitation.patterns import MotionSamples
 from idtool.excitation.standing.ground_forces import GroundForces, GroundLoads
-from idtool.excitation.standing.kinematics import GRAVITY, FootKinematics
+from idtool.excitation.standing.kinematics import FootKinematics
 from idtool.robot.model import RobotModel
 
 
@@ -55,7 +56,7 @@ class StandingRobot:
     @property
     def even_load(self) -> float:
         """Weight per foot [N]."""
-        return GRAVITY * self.model.mass / len(self.feet.feet)
+        return STANDARD_GRAVITY * self.model.mass / len(self.feet.feet)
 
     def motion(self, samples: MotionSamples, base_to_world: Array, t: Array, velocity_deadband: Array) -> Motion:
         """Samples of a design as the torque equation takes them, with the feet on the ground, without torque."""
@@ -98,7 +99,7 @@ class StandingRobot:
         n = self.model.joint_count
         positions, zero, proper = np.zeros((3, nv, count))
         positions[:n] = q
-        proper[self.model.base_coordinates][:3] = GRAVITY * base_to_world[:, 2, :].T
+        proper[self.model.base_coordinates][:3] = STANDARD_GRAVITY * base_to_world[:, 2, :].T
         t = np.arange(count, dtype=float)
         deadband = np.full(nv, 1.0)  # at rest, friction takes either side
         motion = self.motion(MotionSamples(positions, zero, proper), base_to_world, t, deadband)

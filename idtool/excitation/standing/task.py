@@ -16,6 +16,7 @@ import numpy as np
 from idtool.common.arrays import Array
 from idtool.common.exceptions import ModelError
 from idtool.common.number_text import short_number
+from idtool.common.units import STANDARD_GRAVITY
 from idtool.data.signals import Motion
 from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.regressor import LinearModel
@@ -34,7 +35,7 @@ from idtool.excitation.patterns import MotionSamples
 from idtool.excitation.standing.coordinates import coordinate_limits
 from idtool.excitation.standing.feet import find_feet
 from idtool.excitation.standing.ground_forces import GroundForces, GroundLimits
-from idtool.excitation.standing.kinematics import GRAVITY, FootKinematics, StandingKinematics, StandingSamples
+from idtool.excitation.standing.kinematics import FootKinematics, StandingKinematics, StandingSamples
 from idtool.excitation.standing.robot import Loads, StandingRobot
 from idtool.excitation.standing.stance import find_stance, foot_rotations
 from idtool.excitation.task import (
@@ -179,7 +180,7 @@ def make_standing_task(
     if equation.contacts is None:
         raise AssertionError  # a floating base has contacts
     equation = _with_noise(equation, equation.contacts, sigma)
-    even_load = GRAVITY * model.mass / len(feet)
+    even_load = STANDARD_GRAVITY * model.mass / len(feet)
     friction_coefficient = (1 - margin) * standing.friction_coefficient
     ground = GroundLimits(friction_coefficient, _MIN_LOAD * even_load, _SOLE_SHARE, _FORCE_ERROR * even_load)
     foot_kinematics = FootKinematics(model, feet)
@@ -249,7 +250,7 @@ def _controller_stiffness(model: RobotModel, config: Config) -> Array:
 def _row_noise(model: RobotModel, limits: Limits, given: Mapping[str, float]) -> tuple[Array, tuple[str, ...]]:
     """Noise of each row (nv,), and the rows whose noise is assumed."""
     n = model.joint_count
-    force = NOISE_SHARE * GRAVITY * model.mass
+    force = NOISE_SHARE * STANDARD_GRAVITY * model.mass
     largest = np.where(np.isfinite(limits.effort), limits.effort, force * _NOISE_ARM / NOISE_SHARE)
     wrench = np.repeat([force, force * _NOISE_ARM], 3)
     assumed = np.concatenate([NOISE_SHARE * largest, np.tile(wrench, (len(model.joints) - n) // len(wrench))])

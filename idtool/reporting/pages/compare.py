@@ -45,7 +45,7 @@ def comparison_page(report: ComparisonReport, command: str) -> str:
     friction = {"A": report.a.friction, "B": report.b.friction}
     sections = [section for section in _SECTIONS if isinstance(section, tuple) or section.table(report) is not None]
     return render(
-        "Comparison of two results",
+        f"{report.a.report} and {report.b.report}: comparison",
         sections,
         [],
         {},

@@ -61,8 +61,9 @@ def validation_page(
     if bodies:
         views = model_views(bodies[0], bodies[1]["model"], bodies[1].get("prior"))["bodies"]
         robot = robot_view(bodies[0], views, evaluation.traces, "model's")
+    model = next((source.path for source in report.inputs if source.kind == "URDF"), "model")
     return render(
-        "Validation of a dynamics model",
+        f"{model}: validation",
         with_robot(with_simulation(sections, report.simulation), robot),
         ["solids.js", "robot.js"],
         robot,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from idtool.common.units import friction_units
 from idtool.reporting.plots.figure import Figure, Panel, PlotlyTrace, figure, styled_curve
 from idtool.reporting.results.fit import FitReport, FrictionErrors, FrictionReport
-from idtool.reporting.sections.fit import friction_units
 from idtool.robot.config.pool import FRICTION
 
 _TITLES = {"coulomb": "Coulomb"}

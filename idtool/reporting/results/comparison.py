@@ -84,6 +84,13 @@ class ComparedParameter(Record):
     differs: bool | None = field("Whether they differ by more than chance; null: this cannot be told.")
     reason: str = field("Why this cannot be told; empty otherwise.")
 
+    @property
+    def difference_in_errors(self) -> float | None:
+        """The difference in its standard errors; None if the two cannot be compared."""
+        if self.difference is None or not self.standard_error:
+            return None
+        return self.difference / self.standard_error
+
 
 class BodyValues(Record):
     """A body in one of the two results, in the link's frame."""
@@ -135,3 +142,8 @@ class ComparisonReport(ReproducibleResult):
     bodies: Annotated[ReadOnly[ComparedBody], Keys("body")] = field("Bodies of the two models.")
     settings: tuple[Setting, ...] = field("Settings, files and versions that differ.")
     logs_in_both: Sentences = field("Logs with the same content in both.")
+
+    @property
+    def all_joints(self) -> tuple[str, ...]:
+        """Joints of at least one of the results."""
+        return self.joints + self.joints_only_in_a + self.joints_only_in_b

@@ -51,20 +51,22 @@ class ComparedResultsSection(Section[ComparisonReport]):
     @override
     def table(self, report: ComparisonReport) -> Table:
         columns = [name_column(""), Column("A", kind="words"), Column("B", kind="words")]
-        rows = []
-        for name, of_a, of_b in zip(_RESULT_ROWS, _result_texts(report.a), _result_texts(report.b), strict=True):
-            rows.append([Cell(name), Cell(of_a), Cell(of_b)])
+        of_a, of_b = _result_texts(report.a), _result_texts(report.b)
+        rows = [[Cell(name), Cell(of_a[name]), Cell(of_b[name])] for name in of_a]
         return Table(self.title, columns, rows)
 
 
-_RESULT_ROWS = ("report", "verdict", "URDF", "logs", "samples fitted", "determined", "idtool")
-
-
-def _result_texts(result: ComparedResult) -> list[str]:
-    """The cells of a result's column."""
-    determined = NO_VALUE if result.determined is None else f"{result.determined} base parameters"
-    texts = [result.report, LEVEL_TEXTS[result.verdict], result.urdf, join_names(result.logs)]
-    return [*texts, f"{result.samples.train:,}", determined, result.idtool]
+def _result_texts(result: ComparedResult) -> dict[str, str]:
+    """The cells of a result's column, by their row."""
+    return {
+        "report": result.report,
+        "verdict": LEVEL_TEXTS[result.verdict],
+        "URDF": result.urdf,
+        "logs": join_names(result.logs),
+        "samples fitted": f"{result.samples.train:,}",
+        "determined": NO_VALUE if result.determined is None else f"{result.determined} base parameters",
+        "idtool": result.idtool,
+    }
 
 
 class ComparedErrorsSection(Section[ComparisonReport]):
@@ -84,7 +86,7 @@ class ComparedErrorsSection(Section[ComparisonReport]):
         ):
             columns += [Column(heading.format(name), help=text.format(name)) for name in "AB"]
         rows = []
-        for joint in (*report.joints, *report.joints_only_in_a, *report.joints_only_in_b, "overall"):
+        for joint in (*report.all_joints, "overall"):
             row = [Cell(joint), *unit_cells(units, joint)]
             row += [number_cell(result.rms.get(joint), _DIGITS) for result in (report.a, report.b)]
             row += [percent_cell(result.nrms.get(joint)) for result in (report.a, report.b)]
@@ -125,7 +127,7 @@ class ComparedRolloutsSection(Section[ComparisonReport]):
         columns = [name_column("joint"), *unit_column, Column("A"), Column("B")]
         columns += [Column(f"A, {baseline}"), Column(f"B, {baseline}")]
         rows = []
-        for joint in (*report.joints, *report.joints_only_in_a, *report.joints_only_in_b, "overall"):
+        for joint in (*report.all_joints, "overall"):
             errors = [_position_error(simulation, joint) for simulation in simulations]
             errors += [_baseline_error(simulation, joint) for simulation in simulations]
             cells = [number_cell(error, _DIGITS) for error in errors]
@@ -183,10 +185,9 @@ class ComparedBaseParametersSection(Section[ComparisonReport]):
         ]
         rows = []
         for p in sorted(parameters, key=_by_significance)[:_MAX_ROWS]:
-            ratio = p.difference / p.standard_error if p.difference is not None and p.standard_error else None
             estimates = [*_estimate_cells(p.a), *_estimate_cells(p.b)]
-            row = [Cell(p.of), Cell(p.unit), *estimates, number_cell(ratio, 2), _differs_cell(p)]
-            rows.append(row)
+            distance = number_cell(p.difference_in_errors, 2)
+            rows.append([Cell(p.of), Cell(p.unit), *estimates, distance, _differs_cell(p)])
         count = sum(p.differs is True for p in parameters)
         compared = sum(p.differs is not None for p in parameters)
         title = f"Base parameters, estimated from the data alone: {count} of {compared} differ"
@@ -206,9 +207,8 @@ class ComparedBaseParametersSection(Section[ComparisonReport]):
 
 def _by_significance(p: ComparedParameter) -> tuple[bool, float]:
     """Order of a table: what differs most surely first, what cannot be compared last."""
-    if p.p_value is None or p.difference is None or not p.standard_error:
-        return True, 0.0
-    return False, -abs(p.difference) / p.standard_error
+    distance = p.difference_in_errors
+    return distance is None, -abs(distance or 0.0)
 
 
 def _estimate_cells(value: ComparedValue | None) -> tuple[Cell, Cell]:

@@ -9,7 +9,7 @@ import numpy as np
 from typing_extensions import override
 
 from idtool.common.number_text import number
-from idtool.common.units import position_units, units_text
+from idtool.common.units import INERTIA_UNITS, friction_units, units_text
 from idtool.reporting.diagnosis_text import effect_name, owner_name
 from idtool.reporting.number_text import interval_text, metres
 from idtool.reporting.results.fit import BodyReport, FitReport, FrictionErrors, FrictionReport
@@ -297,7 +297,7 @@ class ReflectedInertiasSection(Section["FitReport | DiagnosisReport"]):
         rows = []
         for rotor, joints in report.rotors.items():
             for joint, inertia in joints.items():
-                unit = "kg" if report.units.get(joint) == "N" else "kg·m²"
+                unit = INERTIA_UNITS[report.units.get(joint, "N·m")]
                 errors = error_cells(inertia.reflected_inertia, inertia.standard_error)
                 rows.append([Cell(joint), Cell(rotor), *errors, Cell(interval_text(inertia.interval)), Cell(unit)])
         return Table(self.title, columns, rows, key_columns=2) if rows else None
@@ -345,12 +345,6 @@ class FrictionSection(Section["FitReport | DiagnosisReport"]):
             "Torque = viscous · v + Coulomb · sign(v) + offset. ± se: one standard error. – as a value: the term "
             "is not part of the model; – as a standard error: the data do not determine the value."
         )
-
-
-def friction_units(torque: str) -> tuple[str, str]:
-    """Units of viscous and of dry friction, by that of torque."""
-    position = position_units({"": torque})[""]
-    return f"{torque}·s/{position}", torque
 
 
 def _friction_cells(friction: FrictionReport) -> list[Cell]:

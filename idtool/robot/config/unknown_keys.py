@@ -109,6 +109,8 @@ def unknown_key_message(root: type[BaseModel], error: UnknownKeyError, example: 
         sections = _alternatives([place.section for place in nearest])
         where = f"under {sections}" if sections else "at the top level"
         example_text = _example(root, nearest, example, error.value)
+        if {place.parent for place in nearest} & {place.parent for place in own_places}:
+            return f"{unknown}: it is a key of another kind{_after(', as in ', example_text)}"
         if is_misplaced and key == error.key:
             return f"{key} belongs {where}{_after(': ', example_text)}"
         return f"{unknown}; did you mean '{closest}' {where}?{_after(' Write ', example_text)}"

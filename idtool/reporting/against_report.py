@@ -13,7 +13,7 @@ from idtool.reporting.results.base import plain_data
 from idtool.reporting.results.diagnosis import AgainstReport, ChangeReport, ComparedParameter, LogPairReport
 
 
-def comparison_report(comparison: Comparison) -> AgainstReport:
+def against_report(comparison: Comparison) -> AgainstReport:
     """The content of `against`."""
     simulator = comparison.simulated.last
     entries = simulator.experiment.config.effects
