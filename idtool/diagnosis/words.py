@@ -69,7 +69,8 @@ def _improvement(step: DiagnosisStep, units: Mapping[str, str]) -> str:
     joint = step.chosen.joint or "overall"
     unit = units.get(joint, next(iter(units.values())))
     kind = "Held-out torque" if step.before.validation is not None else "Torque"
-    text = f"{kind} error {number(step.before.torque[joint])} → {number(step.after.torque[joint])} {unit} RMS"
+    where = f" of {step.chosen.joint}" if step.chosen.joint else ""
+    text = f"{kind} error{where} {number(step.before.torque[joint])} → {number(step.after.torque[joint])} {unit} RMS"
     if step.before.simulation is not None and step.after.simulation is not None:
         position_unit = POSITION_UNITS[unit]
         before, after = step.before.simulation[joint], step.after.simulation[joint]

@@ -102,8 +102,8 @@ def found_sentence(report: DiagnosisReport) -> str:
     lacking = _join_words([_effect_or_rival(step) for step in known_steps])
     effects = "this effect" if len(known_steps) == 1 else "these effects"
     return (
-        f"The model {lacks} {lacking}: with {effects}, the {which} torque error goes from {first} to {last} {unit} "
-        f"RMS{closed}."
+        f"The original model {lacks} {lacking}: with {effects}, the {which} torque error goes from {first} to "
+        f"{last} {unit} RMS{closed}."
     )
 
 

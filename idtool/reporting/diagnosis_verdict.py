@@ -3,10 +3,10 @@
 Torque, motion and bodies are judged like those of a fit, see `idtool.reporting.verdict`, and besides:
 
 ==========  ==================================================================================================
+data        Do not use: a fault of the data makes all results meaningless.
 effects     Good: model and data agree, or the effects found explain all of the disagreement. Torque only: part of it
             is not explained, the search was not complete, or an effect is doubtful.
 motion      Torque only: rollouts are worse than those of the original model.
-data        Do not use: a fault of the data makes all results meaningless.
 ==========  ==================================================================================================
 """
 
@@ -38,7 +38,7 @@ def diagnosis_reasons(
     faults
         Faults of the data.
     """
-    reasons = list(_effect_reasons(report))
+    reasons = [*problem_reasons(faults), *_effect_reasons(report)]
     for reason in of_model:
         if reason.about == "torque":
             reasons.append(_torque_reason(report, reason))
@@ -46,7 +46,7 @@ def diagnosis_reasons(
             reasons += _motion_reasons(report, reason)
         elif reason.about != "data" or reason.level != "good":  # that all is determined was not asked
             reasons.append(reason)
-    return (*reasons, *problem_reasons(faults))
+    return tuple(reasons)
 
 
 def _effect_reasons(report: DiagnosisReport) -> Iterator[VerdictReason]:

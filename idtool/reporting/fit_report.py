@@ -62,6 +62,7 @@ from idtool.reporting.verdict import (
     bodies_reason,
     data_reason,
     motion_reason,
+    next_steps,
     problem_reasons,
     torque_reason,
     worst_level,
@@ -112,6 +113,7 @@ def fit_report(
     base_parameters = base_report(fit, analysis.identifiability) if analysis.identifiability else None
     solver = SolverReport(**{name: getattr(fit.estimate.certificate, name) for name in SolverReport.model_fields})
     reasons = (
+        *problem_reasons(fit.notices),
         torque_reason(
             errors,
             error_shares,
@@ -124,12 +126,12 @@ def fit_report(
         motion_reason(simulation, why_not_simulated(fit.simulation, "identified", experiment)),
         bodies_reason(bodies, fit.notices),
         data_reason(base_parameters, solver),
-        *problem_reasons(fit.notices),
     )
     return FitReport(
         **provenance_fields(experiment.sources),
         verdict=worst_level(reasons),
         verdict_reasons=reasons,
+        next=next_steps(reasons),
         joints=joints,
         units=experiment.model.units,
         samples=SampleCounts(train=experiment.samples(held_out=False), validation=experiment.samples(held_out=True)),
@@ -613,14 +615,15 @@ def validation_report(
         )
     error_shares = nrms(evaluation, "model", joints)
     reasons = [
+        *problem_reasons(notices),
         torque_reason(rms.model, error_shares, units, rms.prior, None, where="On these logs"),
         motion_reason(simulation, why_not),
-        *problem_reasons(notices),
     ]
     return ValidationReport(
         **provenance_fields(sources),
         verdict=worst_level(reasons),
         verdict_reasons=reasons,
+        next=next_steps(reasons),
         joints=joints,
         units=units,
         samples=evaluation.errors["model"].samples,

@@ -43,11 +43,35 @@ _IMPLAUSIBLE_BODIES = ("implausible_mass", "implausible_shape", "total_mass_chan
 _JUDGED_BY_OTHER_RULES = ("not_realizable", "worse_than_prior")  # codes of problems
 _SHORT_TIME = 0.1  # s, below which times are given in ms
 _MIN_MASS_RATIO = 1e-9  # of which the logarithm is taken
+_SEARCH_STEP = "Find out what the model lacks: `idtool diagnose` with the same URDF, logs and configuration."
 
 
 def worst_level(reasons: Sequence[VerdictReason]) -> VerdictLevel:
     """The verdict: the worst of the levels of some reasons."""
     return max((reason.level for reason in reasons), key=LEVELS.index)
+
+
+def next_steps(reasons: Sequence[VerdictReason]) -> list[str]:
+    """What to do with a model, one sentence each.
+
+    Parameters
+    ----------
+    reasons
+        All reasons of the verdict.
+    """
+    level = worst_level(reasons)
+    if level == "good":
+        return ["Use the model for control and simulation; `idtool export` writes it for MuJoCo or Drake."]
+    if level == "torque_only":
+        steps = ["Use the model for feedforward and gravity compensation, but not for simulation."]
+        is_inaccurate = any(reason.about == "motion" and reason.figure is not None for reason in reasons)
+        return [*steps, _SEARCH_STEP] if is_inaccurate else steps
+    refused = next(reason for reason in reasons if reason.level == level)
+    if refused.about == "data":
+        return [
+            "First correct the data, or describe them correctly in the configuration, and then repeat this command."
+        ]
+    return [_SEARCH_STEP]
 
 
 def torque_reason(
@@ -93,7 +117,7 @@ def torque_reason(
     text = f"{where}, the torque error is {size} RMS"
     comparisons = []
     if noise is not None:
-        comparisons.append(f"noise alone makes {number(noise)} {unit}")
+        comparisons.append(f"noise is estimated to make {number(noise)} {unit} of it")
     if urdf_error is not None:
         comparisons.append(f"the error of the original URDF is {number(urdf_error)} {unit}")
     if comparisons:
@@ -179,8 +203,8 @@ def _closed_loop_reason(simulation: Simulation, unit: str) -> VerdictReason:
     ratio = error / baseline_error if error is not None and baseline_error else None
     is_good = ratio is not None and ratio <= _MAX_CLOSED_LOOP_ERROR
     text = (
-        f"Under its controller, the simulated robot is {number(error)} {unit} from the measured position; a robot that "
-        f"followed its command exactly would be {number(baseline_error)} {unit} from it."
+        f"Simulated under its controller, the robot is {number(error)} {unit} from the measured position; the command "
+        f"itself is {number(baseline_error)} {unit} from it."
     )
     return VerdictReason(about="motion", level="good" if is_good else "torque_only", figure=ratio, text=text)
 
@@ -218,12 +242,13 @@ def bodies_reason(bodies: Mapping[str, BodyReport], notices: Collection[Notice])
     if doubts:
         text = f"Masses or shapes are not plausible: {doubts[0]}."
         return VerdictReason(about="bodies", level="torque_only", figure=ratio, text=text)
-    text = f"All bodies are realizable; their total mass is {number(mass)} kg, and {number(urdf_mass)} kg in the URDF"
+    total = f"{number(mass)} kg ({number(urdf_mass)} kg in the URDF)"
+    text = f"All bodies are physically realizable. Together they have {total}"
     name = max(bodies, key=lambda name: _mass_change(bodies[name]), default=None)
     if name is not None:
         before, after = number(_urdf_mass(bodies[name])), number(bodies[name].mass)
         if before != after:
-            text += f"; that of {name} changes most, from {before} to {after} kg"
+            text += f"; the largest relative change is that of {name}, from {before} to {after} kg"
     return VerdictReason(about="bodies", level="good", figure=ratio, text=f"{text}.")
 
 
@@ -265,7 +290,7 @@ def data_reason(base_parameters: BaseParametersResult | None, solver: SolverRepo
 
 
 def problem_reasons(notices: Collection[Notice]) -> Iterator[VerdictReason]:
-    """Reasons by problems of the logs, those left out that another reason judges."""
+    """Reasons by problems of the logs, without those that another reason judges; they come before all others."""
     for notice in notices:
         if notice.severity == "problem" and notice.code not in _JUDGED_BY_OTHER_RULES:
             yield VerdictReason(about="data", level="do_not_use", figure=None, text=f"{notice.text}.")

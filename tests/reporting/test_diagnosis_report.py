@@ -268,7 +268,7 @@ def test_without_held_out_data_the_training_error_stands_in(found: Diagnosis) ->
 def test_the_verdict_in_words(found: Diagnosis) -> None:
     text = report_of(found)["summary"]
     assert text.startswith(
-        "The model lacks Stribeck friction on hip (or load-dependent friction on hip): with this effect, "
+        "The original model lacks Stribeck friction on hip (or load-dependent friction on hip): with this effect, "
     )
     assert "from 0.873 to 0.475 N·m RMS, which closes 82 % of the gap to the noise floor, 0.387 N·m." in text
     partly = report_of(faulty(found))["summary"]
@@ -301,7 +301,7 @@ def test_the_verdict_is_the_worst_of_its_reasons(found: Diagnosis) -> None:
     assert lines[1] == f"✓ effects: {report['summary']}"
     partly = report_of(replace(faulty(found), verdict="partly_explained"))
     about = [(reason["about"], reason["level"]) for reason in partly["verdict_reasons"]]
-    assert about[:2] == [("effects", "torque_only")] * 2
+    assert about[:3] == [("data", "do_not_use"), *[("effects", "torque_only")] * 2]
     assert partly["model_verdict"] != "good"
 
 
@@ -333,9 +333,9 @@ def test_a_doubt_is_said_and_told_apart(found: Diagnosis) -> None:
     assert _verdict(steps, is_floor_known=True, is_complete=True) == "partly_explained"
     report = report_of(replace(found, steps=tuple(steps[:1]), verdict="partly_explained"))
     assert report["steps"][0]["evidence"]["doubt"] == steps[0].doubt
-    assert report["summary"].startswith("The model may lack a payload on thigh_link")
+    assert report["summary"].startswith("The original model may lack a payload on thigh_link")
     certain_too = report_of(replace(found, steps=(steps[0], steps[2]), verdict="partly_explained"))
-    assert certain_too["summary"].startswith("The model lacks a payload on thigh_link")
+    assert certain_too["summary"].startswith("The original model lacks a payload on thigh_link")
     assert report["summary"].endswith(" N·m. Doubtful: a payload on thigh_link; the notices give the reasons.")
 
 
@@ -362,7 +362,7 @@ def test_what_to_do_next(found: Diagnosis) -> None:
 
 def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> None:
     lines = said(found).splitlines()
-    assert lines[1].startswith("✓ effects: The model lacks Stribeck friction on hip")
+    assert lines[1].startswith("✓ effects: The original model lacks Stribeck friction on hip")
     (row,) = [line for line in lines if line.startswith("1 ")]
     for cell in ("Stribeck friction", "hip", "stribeck 1.91 ± 0.20 N·m, velocity 0.150 rad/s", "0.873 → 0.475"):
         assert cell in row
@@ -379,7 +379,7 @@ def test_the_terminal_gives_the_verdict_then_a_line_a_step(found: Diagnosis) -> 
 def test_the_terminal_says_faults_before_the_steps_and_shows_names_as_they_are(found: Diagnosis) -> None:
     step = step_of(chosen=candidate("stribeck_friction", "[bold]hip[/bold]"), entry=STRIBECK)
     text = said(faulty(replace(found, steps=(step,))))
-    assert text.index("effects: The model lacks") < text.index(BEHIND) < text.index("Effects that the model lacks")
+    assert text.index(BEHIND) < text.index("effects: The original model lacks") < text.index("Effects that the model")
     assert "[bold]hip[/bold]" in next(line for line in text.splitlines() if line.startswith("1 "))
     assert f"\n{BEHIND}\n" in text
     assert f"warning: {BEHIND}" in text
@@ -456,7 +456,7 @@ def test_the_command_writes_its_files_and_its_report_alone_to_standard_output(
     assert done.code == 0
     assert set(files(tmp_path / "out")) == {"diagnosis.json", "diagnosis.html", "model.yaml", "identified.urdf"}
     assert strict_json((tmp_path / "out" / "diagnosis.json").read_text()) == done.json
-    assert "The model lacks Stribeck friction on hip" in done.err
+    assert "The original model lacks Stribeck friction on hip" in done.err
     assert asked == [Asked("refit", None, 12, (), True, None)]
     entry, late = yaml.safe_load((tmp_path / "out" / "model.yaml").read_text())["effects"]
     assert (entry["effect"], entry["joint"]) == ("stribeck_friction", "hip")
@@ -552,7 +552,7 @@ def test_a_sentence_has_units_and_no_ids(found: Diagnosis) -> None:
     sentence = step_sentence(step, found.last.experiment.model)
     assert sentence.startswith(
         "Friction increases towards low speed (stribeck 0.195 ± 0.003 N·m, velocity 0.117 ± 0.001 rad/s). "
-        "The residual was concentrated below 0.15 rad/s. Held-out torque error 1.43 → 0.660 N·m RMS"
+        "The residual was concentrated below 0.15 rad/s. Held-out torque error of hip 1.43 → 0.660 N·m RMS"
     )
     spring = EffectEntry(effect="parallel_spring", joint="hip", parameters={"stiffness": 0.0, "rest_position": -0.29})
     assert fitted_along_sentence(spring, found.last.experiment.model).startswith(

@@ -100,7 +100,8 @@ def test_names_and_texts_stay_text(found: Diagnosis) -> None:
 def test_the_findings_say_how_far_to_trust_them(found: Diagnosis) -> None:
     page = page_of(found)
     assert page.levels[:3] == ["note", "good", "good"]  # a pair, the delay, the rollouts
-    assert "The model lacks Stribeck friction on hip (or load-dependent friction on hip) and a time delay" in page.plain
+    lacks = "The original model lacks Stribeck friction on hip (or load-dependent friction on hip) and a time delay"
+    assert lacks in page.plain
     assert "The data cannot distinguish it from load-dependent friction on hip." in page.plain
     assert "Its gain on data not used for fitting is 21 times its standard error." in page.plain
     rollouts = "simulation is 0.0110 rad RMS for the final model and 0.0300 rad for the original model."

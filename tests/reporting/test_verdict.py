@@ -13,7 +13,7 @@ import idtool as package
 from idtool.common.notice import Notice
 from idtool.reporting.results.rollouts import Horizon, MotionErrors, Simulation, WindowCount
 from idtool.reporting.results.verdict import VerdictReason
-from idtool.reporting.verdict import motion_reason, problem_reasons, torque_reason, worst_level
+from idtool.reporting.verdict import motion_reason, next_steps, problem_reasons, torque_reason, worst_level
 
 UNITS = {"hip": "N·m", "knee": "N·m"}
 
@@ -115,12 +115,33 @@ def test_problems_forbid_use() -> None:
     assert worst_level([torque(1.0, 10.0), reason]) == "do_not_use"
 
 
+def reason(about: str, level: str, figure: float | None = 1.0) -> VerdictReason:
+    return VerdictReason.model_validate({"about": about, "level": level, "figure": figure, "text": "."})
+
+
+@pytest.mark.parametrize(
+    ("reasons", "starts"),
+    [
+        ([reason("torque", "good"), reason("motion", "good")], ["Use the model for control and simulation"]),
+        ([reason("torque", "good"), reason("motion", "torque_only", None)], ["Use the model for feedforward"]),
+        ([reason("motion", "torque_only", 0.05)], ["Use the model for feedforward", "Find out what the model lacks"]),
+        ([reason("torque", "do_not_use"), reason("motion", "torque_only")], ["Find out what the model lacks"]),
+        ([reason("data", "do_not_use"), reason("torque", "do_not_use")], ["First correct the data"]),
+    ],
+)
+def test_what_to_do_next_follows_from_the_worst_reason(reasons: list[VerdictReason], starts: list[str]) -> None:
+    steps = next_steps(reasons)
+    assert len(steps) == len(starts)
+    assert all(step.startswith(start) for step, start in zip(steps, starts, strict=True))
+
+
 def test_the_sample_leg_is_good(tmp_path: Path) -> None:
     done = idtool("fit", LEG, TRAIN, "--validate", VALIDATE, "--strict", "--out", tmp_path, "--json")
     assert done.code == 0
     assert done.json["verdict"] == "good"
     assert [reason["about"] for reason in done.json["verdict_reasons"]] == ["torque", "motion", "bodies", "data"]
     assert done.json["noise_floor"]["overall"] == pytest.approx(0.108, rel=0.05)
+    assert done.json["next"][0].startswith("Use the model for control and simulation")
     assert done.err.startswith("Verdict: good\n✓ torque: On held-out data, the torque error is 2.2 %")
     assert '<p class="verdict good">Good</p>' in (tmp_path / "report.html").read_text()
 
@@ -131,7 +152,8 @@ def test_a_wrong_sign_must_not_be_used(tmp_path: Path) -> None:
     wrong = package.Log.from_arrays("wrong", log.t, log.joints, q=log.q, v=log.v, tau=-log.tau).save(tmp_path / "w.csv")
     done = idtool("validate", LEG, wrong, "--strict", "--no-simulation", "--out", tmp_path / "out")
     assert done.code == 1
-    assert done.out.startswith("Verdict: do not use\n✗ torque: On these logs, the torque error is ")
+    assert done.out.startswith("Verdict: do not use\n✗ ")
+    assert "✗ torque: On these logs, the torque error is " in done.out
     assert "--strict: the verdict is that the model must not be used" in done.out
     assert idtool("validate", LEG, wrong, "--no-simulation", "--out", tmp_path / "out").code == 0
 

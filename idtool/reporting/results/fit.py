@@ -439,6 +439,7 @@ class FitReport(ReproducibleResult):
 
     verdict: VerdictLevel = field(VERDICT_TEXT)
     verdict_reasons: tuple[VerdictReason, ...] = field(REASONS_TEXT)
+    next: Sentences = field("Suggested next steps, one sentence each.")
     joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
     samples: SampleCounts = field("Number of samples used.")

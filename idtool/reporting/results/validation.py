@@ -16,6 +16,7 @@ from idtool.reporting.results.base import (
     Record,
     ReproducibleResult,
     Result,
+    Sentences,
     Units,
     field,
 )
@@ -49,6 +50,7 @@ class ValidationReport(ReproducibleResult):
 
     verdict: VerdictLevel = field(VERDICT_TEXT)
     verdict_reasons: tuple[VerdictReason, ...] = field(REASONS_TEXT)
+    next: Sentences = field("Suggested next steps, one sentence each.")
     joints: tuple[str, ...] = field("Joints, in the order of the torque equation.")
     units: Units = field("Unit of torque or force: `N·m` or `N`.")
     samples: int = field("Number of samples used.")

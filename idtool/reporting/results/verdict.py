@@ -9,7 +9,7 @@ from idtool.reporting.results.base import Record, field
 VerdictLevel = Literal["good", "torque_only", "do_not_use"]
 
 VERDICT_TEXT = "`good`, `torque_only` (good for torque only) or `do_not_use`; see [Verdict](howto/report.md#verdict)."
-REASONS_TEXT = "What was judged, one entry each; the verdict is the worst of their levels."
+REASONS_TEXT = "What was judged, one entry each, problems of the logs first; the verdict is the worst of their levels."
 
 
 class VerdictReason(Record):

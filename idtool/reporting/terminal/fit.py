@@ -25,7 +25,7 @@ from idtool.reporting.terminal.verdict import show_verdict
 
 def show_fit(terminal: Output, report: FitReport, folder: Path | None = None) -> None:
     """The result of a fit: errors, bodies, friction, certificate, and where the files are, if any were written."""
-    show_verdict(terminal, report.verdict, report.verdict_reasons)
+    show_verdict(terminal, report.verdict, report.verdict_reasons, report.next)
     terminal.sections([TorqueErrorsSection(), ErrorsByKindSection(), FleetSection()], report)
     show_simulation(terminal, report.simulation)
     terminal.sections([BodiesSection(), WholeRobotSection(), FrictionSection()], report)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -39,19 +38,13 @@ def show_simulated_log(terminal: Output, report: SimulationReport, tracks: bool)
 
 
 def _warning(simulation: Simulation) -> str | None:
-    """Warning that the model is no better than the baseline, with the time up to which it is; None if it is better."""
+    """Warning that the model is no better than the baseline; None if it is better."""
     if _is_better(simulation.position, simulation.baseline.position):
         return None
     baseline = "a robot that keeps its position"
     if simulation.kind == "closed_loop":
         baseline = "a robot that follows its command exactly"
-    drift = f"Simulated for {restarts_text(simulation)}, the model has a larger error than {baseline}"
-    better = itertools.takewhile(lambda horizon: _is_better(horizon.position, horizon.baseline), simulation.horizon)
-    if seconds := [horizon.seconds for horizon in better]:
-        long = f"{1000 * seconds[-1]:g} ms"
-        better_until = f"its error is smaller up to {long} after a restart"
-        return f"{drift}; {better_until}: do not trust its rollouts for longer than that."
-    return f"{drift}: do not trust its rollouts."
+    return f"Simulated for {restarts_text(simulation)}, the model has a larger error than {baseline}."
 
 
 def _is_better(model: Mapping[str, Any], baseline: Mapping[str, Any] | None) -> bool:

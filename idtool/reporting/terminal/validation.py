@@ -17,7 +17,7 @@ from idtool.reporting.terminal.verdict import show_verdict
 
 def show_validation(terminal: Output, report: ValidationReport, folder: Path | None = None) -> None:
     """The result of a validation."""
-    show_verdict(terminal, report.verdict, report.verdict_reasons)
+    show_verdict(terminal, report.verdict, report.verdict_reasons, report.next)
     terminal.sections([ModelErrorsSection(), ModelErrorsByKindSection()], report)
     show_simulation(terminal, report.simulation)
     terminal.notices(report.notices)
