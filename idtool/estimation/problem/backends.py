@@ -64,22 +64,22 @@ def solve_by_cvxpy(problem: Problem, start: Array, backend: str) -> Solution:
     inequalities = [_inequality(cp, inequality, x) for inequality in problem.inequalities]
     bounds = [x[problem.bounded] >= problem.bounds] if len(problem.bounded) else []
     equations = [problem.E @ z == problem.e] if len(problem.e) else []
-    programme = cp.Problem(cp.Minimize(cost), [*inequalities, *bounds, *equations])
-    _run(cp, programme, backend)
-    if "infeasible" in programme.status:
+    program = cp.Problem(cp.Minimize(cost), [*inequalities, *bounds, *equations])
+    _run(cp, program, backend)
+    if "infeasible" in program.status:
         raise infeasible(problem)
     if step.value is None:
-        raise SolverError("solver.backend", f"{backend} found no solution ({programme.status}); use another solver")
+        raise SolverError("solver.backend", f"{backend} found no solution ({program.status}); use another solver")
     duals = [np.asarray(inequality.dual_value, dtype=np.float64) for inequality in inequalities]
     multipliers = np.asarray(bounds[0].dual_value, dtype=np.float64) if bounds else np.zeros(0)
-    iterations = programme.solver_stats.num_iters or 0
-    return Solution(start + np.asarray(step.value), duals, multipliers, str(programme.status), int(iterations))
+    iterations = program.solver_stats.num_iters or 0
+    return Solution(start + np.asarray(step.value), duals, multipliers, str(program.status), int(iterations))
 
 
-def _run(cp: ModuleType, programme: Any, backend: str) -> None:
+def _run(cp: ModuleType, program: Any, backend: str) -> None:
     with warnings.catch_warnings(action="ignore"):  # of inaccurate solutions: they are refined and checked
         try:
-            programme.solve(solver=backend, **_SETTINGS.get(backend, {}))
+            program.solve(solver=backend, **_SETTINGS.get(backend, {}))
         except cp.error.SolverError as error:
             if backend in MATRIX_SOLVERS:
                 raise SolverError("solver.backend", f"{backend} failed ({error}); use another solver") from None
