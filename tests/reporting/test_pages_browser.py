@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,34 +29,41 @@ def opened() -> Iterator[Browser]:
         yield one
 
 
+COMMANDS = {
+    "report.html": ("fit", LEG, TRAIN, "--validate", VALIDATE),
+    "validation.html": ("validate", LEG, VALIDATE),
+    "diagnosis.html": ("diagnose", LEG, TRAIN, "--validate", VALIDATE, "--no-simulation", "--report-only", *EFFECTS),
+    "study.html": ("study", LEG, "short.csv", "--draws", "5"),
+}
+
+
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The pages of the sample leg, by the commands."""
+def page(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """A page of the sample leg by its name, as the command writes it."""
     out = tmp_path_factory.mktemp("pages")
-    short = out / "short.csv"
-    short.write_text(csv_text(sample_table(3000)))
-    for command in (
-        ("fit", LEG, TRAIN, "--validate", VALIDATE),
-        ("validate", LEG, VALIDATE),
-        ("diagnose", LEG, TRAIN, "--validate", VALIDATE, "--no-simulation", "--report-only", *EFFECTS),
-    ):
-        assert idtool(*command, "--out", out, "--quiet").code == 0
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("idtool.estimation.study.study.LOCAL", {})  # local solvers, which take long
-        assert idtool("study", LEG, short, "--draws", "5", "--out", out, "--quiet").code == 0
-    return out
+
+    @cache
+    def written(name: str) -> Path:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(out)
+            patch.setattr("idtool.estimation.study.study.LOCAL", {})  # local solvers, which take long
+            Path("short.csv").write_text(csv_text(sample_table(3000)))
+            assert idtool(*COMMANDS[name], "--out", out, "--quiet").code == 0
+        return out / name
+
+    return written
 
 
 @pytest.mark.parametrize(
     "name", ["report.html", pytest.param("diagnosis.html", marks=pytest.mark.slow), *AS_THE_REPORT]
 )
-def test_every_plot_is_drawn(pages: Path, opened: Browser, name: str) -> None:
+@pytest.mark.parametrize(("width", "dark"), [(400, True), pytest.param(1400, False, marks=pytest.mark.slow)])
+def test_every_plot_is_drawn(page: Callable[[str], Path], opened: Browser, name: str, width: int, dark: bool) -> None:
     """Colours have no part in the width: each of both is seen once."""
-    for width, dark in ((1400, False), (400, True)):
-        found = opened.use(pages / name, width, dark)
-        assert found["plots"] > 2
-        assert (found["blank"], found["wrong"], found["wide"]) == ([], [], False)
-        assert found["dark"] == dark
+    found = opened.use(page(name), width, dark)
+    assert found["plots"] > 2
+    assert (found["blank"], found["wrong"], found["wide"]) == ([], [], False)
+    assert found["dark"] == dark
 
 
 @pytest.fixture(scope="module")
@@ -107,9 +115,9 @@ def at_rest(opened: Browser) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "name", ["report.html", pytest.param("diagnosis.html", marks=pytest.mark.slow), AS_THE_REPORT[0]]
 )
-def test_the_robot_moves_and_turns(pages: Path, opened: Browser, name: str) -> None:
+def test_the_robot_moves_and_turns(page: Callable[[str], Path], opened: Browser, name: str) -> None:
     """The slider moves it, the mouse turns it, the prior beside it too, and it stays turned when it is moved again."""
-    opened.use(pages / name, 1400, False, "[data-robot]")
+    opened.use(page(name), 1400, False, "[data-robot]")
     opened.run(LOOK)
     first = opened.run(ROBOT)
     opened.run(MOVE, 30)
@@ -138,8 +146,10 @@ const change = range ? {{ "xaxis.range[0]": range[0], "xaxis.range[1]": range[1]
 return Plotly.relayout(document.querySelector('{TORQUE}'), change).then(() => null);"""
 
 
-def test_the_prior_is_drawn_where_asked_and_a_log_is_zoomed_as_one(pages: Path, opened: Browser) -> None:
-    opened.use(pages / "report.html", 1400, False, ".log[open] [data-figure]")
+def test_the_prior_is_drawn_where_asked_and_a_log_is_zoomed_as_one(
+    page: Callable[[str], Path], opened: Browser
+) -> None:
+    opened.use(page("report.html"), 1400, False, ".log[open] [data-figure]")
     whole = opened.run(SHOWN)
     torques = [one["about"].startswith("Measured and predicted torque") for one in whole]
     assert (sum(torques), torques.count(False)) == (3, 3)  # and the positions
