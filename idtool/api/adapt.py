@@ -48,7 +48,7 @@ class AdaptationResult(AdaptationReport, SavableResult, Displayable):
 def adapt(
     model: Model | Source, logs: Logs, *, forgetting: float = 20.0, progress: Progress | None = None
 ) -> AdaptationResult:
-    """Identify online within the constraints, with one update for each decimated row, like `idtool adapt`.
+    """Identify online within the constraints, with one update per downsampled sample, like `idtool adapt`.
 
     Parameters
     ----------

@@ -153,7 +153,7 @@ def excite(
     logs
         Existing logs. The trajectory is designed to complement them.
     pattern
-        ``fourier``, ``bspline``, or ``shell``, the paper's motion.
+        ``fourier``, ``bspline``, or ``shell``, on which limb tips move (Wensing et al. 2018).
     criterion
         ``d``: all parameters; ``a``: the mean error; ``e``: the worst combination; or ``condition``.
     favour
@@ -346,7 +346,7 @@ def _standing(settings: Config) -> tuple[Config, tuple[Notice, ...]]:
     if settings.base.kind == "fixed":
         raise ConfigError("--stand", "needs a floating base and contacts; set base: {kind: floating} and contacts")
     message = (
-        "the feet stay on the ground if the masses of the URDF are about right and the joints follow the trajectory; "
+        "the feet stay on the ground only if the URDF's masses are accurate and the joints track the trajectory; "
         "standing alone does not determine the mass"
     )
     advice = "try the trajectory at a fraction of its speed, and log a motion of the hanging robot too"

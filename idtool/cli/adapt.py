@@ -32,7 +32,7 @@ def adapt_command(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Identify the model online, with one update per decimated row, and write the parameters over time."""
+    """Identify the model online, with one update per downsampled sample, and write the parameters over time."""
     from idtool.api.adapt import adapt
     from idtool.api.model import Model
     from idtool.reporting.terminal import Terminal

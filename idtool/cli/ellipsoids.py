@@ -36,7 +36,8 @@ def ellipsoids_command(
         ),
     ] = False,
     repair: Annotated[
-        Path | None, typer.Option(help="With --check: write the nearest realizable URDF to this file.")
+        Path | None,
+        typer.Option(help="With --check: write a copy of the URDF with the nearest realizable inertias to this file."),
     ] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,

@@ -66,7 +66,7 @@ def excite_command(
         str,
         typer.Option(
             autocompletion=lambda: ["fourier", "bspline", "shell"],
-            help="fourier, bspline, or shell (the motion of the paper).",
+            help="fourier, bspline, or shell (limb tips move on an ellipsoidal shell; Wensing et al. 2018).",
         ),
     ] = "fourier",
     criterion: Annotated[
@@ -101,7 +101,8 @@ def excite_command(
         list[str] | None, typer.Option(help="Joint position at start and end: hip=0.5, or *_knee=-1; repeatable.")
     ] = None,
     tip: Annotated[
-        str | None, typer.Option(help="Link that follows the shell; default: the last link of every limb.")
+        str | None,
+        typer.Option(help="With --pattern shell: link that moves on the shell; default: the last link of every limb."),
     ] = None,
     iterations: Annotated[
         int | None, typer.Option(min=1, help="Iterations of the search; default: 200, with --stand 60.")
@@ -121,14 +122,17 @@ def excite_command(
     sole_size: Annotated[
         tuple[float, float] | None,
         typer.Option(
-            "--sole-size", metavar="LENGTH WIDTH", help="Of feet that are surfaces, m; default: from their geometry."
+            "--sole-size",
+            metavar="LENGTH WIDTH",
+            help="Length and width of flat feet, m; default: from their geometry.",
         ),
     ] = None,
     decide: Annotated[
         tuple[str, str] | None,
         typer.Option(
             metavar="A B",
-            help="Optimize for deciding between two explanations: EFFECT:JOINT each, or a configuration with effects.",
+            help="Optimize the trajectory to distinguish two explanations A and B, each given as EFFECT:JOINT or as a "
+            "configuration with effects.",
             callback=_check_two,
         ),
     ] = None,

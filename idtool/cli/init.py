@@ -17,7 +17,11 @@ def init_command(
     logs: LogsArgument,
     config: Annotated[
         Path | None,
-        typer.Option("--config", "-c", help="Known keys, such as controller gains; they are kept unchanged."),
+        typer.Option(
+            "--config",
+            "-c",
+            help="Configuration with known keys, such as controller gains, which are copied unchanged.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,

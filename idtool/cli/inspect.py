@@ -20,13 +20,15 @@ def inspect_command(
         ),
     ],
     config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="Configuration, for reading the log, and for its sensors.")
+        Path | None,
+        typer.Option("--config", "-c", help="Configuration that describes the log format and the sensors."),
     ] = None,
     urdf: Annotated[
         Path | None,
         typer.Option(
             "--urdf",
-            help="URDF with which to compare the sensors of the configuration; default: that of its name beside it.",
+            help="URDF against which the configured sensors are checked; default: the URDF of the same name beside the "
+            "configuration.",
             show_default=False,
         ),
     ] = None,

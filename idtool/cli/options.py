@@ -160,8 +160,8 @@ ClusterOption = Annotated[
         "--cluster",
         metavar="ADDRESS|local:N",
         help="Dask cluster that reads the logs: address or JSON file of its scheduler, or local:N for N processes on "
-        "this machine. A fit then has no simulation and no search for faults of the data, and a diagnosis searches "
-        "some samples of each log. Needs the extra 'cluster' of idtool.",
+        "this machine. With a cluster, fit skips the simulation and the search for data faults, and diagnose searches "
+        "only part of each log. Needs the extra 'cluster' of idtool.",
     ),
 ]
 SkipBadOption = Annotated[
@@ -182,8 +182,8 @@ StrictOption = Annotated[
 InertiaOption = Annotated[
     Literal["refit", "fixed"] | None,
     typer.Option(
-        help="refit: identify the inertia again at every step; fixed: keep that of the URDF, so that payloads, gains "
-        "and tilted bases can be found. Default: refit; with --against fixed.",
+        help="refit: identify the inertia again at every step; fixed: keep that of the URDF, so that payloads, "
+        "torque-scale errors and a tilted base can be found. Default: refit; with --against fixed.",
         show_default=False,
     ),
 ]
@@ -199,7 +199,7 @@ BudgetOption = Annotated[
     float | None,
     typer.Option(
         min=0,
-        help="Time for the search in seconds; it then reports what was found. Ctrl-C does the same.",
+        help="Time limit for the search, s. The effects found by then are reported, as they are after Ctrl-C.",
         show_default="none",
     ),
 ]
@@ -215,8 +215,9 @@ AgainstOption = Annotated[
     list[Path] | None,
     typer.Option(
         metavar="LOG",
-        help="A simulator's log under the same commands as the log; or a folder with a log of the same name for each. "
-        "Lists what to change in the simulator. Repeatable: one for each log, in the same order.",
+        help="The simulator's log, recorded with the same commands as LOG; or a folder with one simulator log for each "
+        "LOG, of the same name. Lists what to change in the simulator. Repeatable: one for each LOG, in the same "
+        "order.",
     ),
 ]
 ReportOnlyOption = Annotated[
