@@ -126,8 +126,8 @@ class ControllerGains:
         notices = []
         if by_prior := [joint for joint, source in self.scales.items() if source == "prior"]:
             message = (
-                "the logs tell gains only relative to masses, and those of the prior are used: if all masses are 10 % "
-                f"wrong, so are the gains: {join_names(by_prior)}"
+                "the logs determine the gains only relative to the masses, so their scale comes from the masses of the "
+                f"prior: if all masses are 10 % wrong, so are the gains: {join_names(by_prior)}"
             )
             advice = "give one kp, or log the torque of one joint"
             if self.is_total_mass_known:

@@ -225,7 +225,7 @@ def _notices(
         others = [p for p in about if p.a is None or p.b is None or p.reason.startswith(OTHER_COMBINATION)]
         if others:
             count = count_text(len(others), "parameter")
-            message = f"the models have another geometry or other terms: {count} without counterpart"
+            message = f"the models differ in geometry or in their terms: {count} without counterpart"
             advice = "the difference of another parameter may come from this, not from the robot"
             yield Notice("combinations_differ", "warning", None, message, advice)
     if any(p.differs for p in about):

@@ -54,7 +54,7 @@ def test_sensor_that_was_not_connected_is_named(recording: Recording, prefix: st
     columns = dict(recording.columns)
     columns |= {name: np.full_like(columns[name], reading) for name in scaled(prefix, 0.0)}
     (notice,) = imu_findings(log_of(columns))
-    assert (notice.code, notice.message) == ("imu_dead", f"the {dead} reads the same all the time")
+    assert (notice.code, notice.message) == ("imu_dead", f"the {dead} has a constant reading")
 
 
 def test_removed_gravity_is_named(recording: Recording) -> None:

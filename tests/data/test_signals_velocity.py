@@ -59,8 +59,9 @@ def test_a_velocity_that_is_late_is_read_later(lag: float) -> None:
     t = clock(6)
     signals = signals_of(swinging(t, v=swing(t - lag, 1)), velocity="measured")
     np.testing.assert_allclose(signals.lag, lag, atol=0.05 * DT)
-    relation = "lags behind" if lag > 0 else "leads"
-    message = f"the measured velocity {relation} the position by up to {abs(lag) * 1e3:.1f} ms; idtool corrects it"
+    relation = "lags" if lag > 0 else "leads"
+    by = f"the derivative of the position by up to {abs(lag) * 1e3:.1f} ms"
+    message = f"the measured velocity {relation} {by}; idtool corrects it"
     assert message in sentences(signals.notices)
     used = joined(signals, lambda m: m.t)
     truth = swing(used, 1).T

@@ -182,7 +182,7 @@ def test_imu_whose_reading_never_changes_is_refused(folder: Path, tmp_path: Path
     path = tmp_path / "dead.csv"
     path.write_text("\n".join(",".join(line) for line in [header, *lines]))
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
-    with pytest.raises(LogError, match=f"the {dead} of the IMU reads the same all the time"):
+    with pytest.raises(LogError, match=f"the {dead} of the IMU has a constant reading"):
         idtool.validate(model, path)
 
 

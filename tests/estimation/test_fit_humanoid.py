@@ -62,7 +62,7 @@ def test_contacts_are_detected_beside_wrench_sensors(folder: Path) -> None:
         contact |= {"kind": "point", "flag": "auto"}
     experiment = load_experiment(idtool.Model(folder / "true.urdf", config=config), (), folder / "stand.csv")
     (notice,) = [notice for notice in experiment.notices if notice.code == "contacts_detected"]
-    assert "l_sole for 100 %, r_sole for 100 %" in notice.message
+    assert "l_sole 100 %, r_sole 100 %" in notice.message
     (batch, *_) = experiment.batches(experiment.runs[0], held_out=True)
     assert batch.motion.contacts is not None
     assert np.all(batch.motion.contacts.is_closed[:2])

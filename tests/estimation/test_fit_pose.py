@@ -103,7 +103,7 @@ def test_init_proposes_the_pose_where_there_is_no_imu(tmp_path: Path, stand: Rec
         ({"link": "FL_calf"}, {}, r"base\.pose\.link: FL_calf: moves against the root link trunk"),
         ({}, dict.fromkeys(POSE, np.nan), "channel base_x has no values"),
         ({}, dict.fromkeys(POSE[3:], 0.0), "the orientation of the pose .* is zero; log it, from link to world"),
-        ({}, dict.fromkeys(POSE, 0.5), "the pose of the base reads the same all the time; log it, or remove base.pose"),
+        ({}, dict.fromkeys(POSE, 0.5), "the pose of the base has a constant reading; log it, or remove base.pose"),
     ],
 )
 def test_pose_that_cannot_be_used_is_refused(

@@ -119,7 +119,7 @@ def test_imu_that_is_turned_against_its_link_is_named_with_its_true_place(
     (notice,) = [notice for notice in result.notices if notice.code in CODES]
     assert (notice.code, notice.severity, notice.subject) == ("imu_mount", "problem", "imu")
     axis = "xyz"[int(np.abs(turn).argmax())]
-    found = re.search(r"turned by ([+-]\d+)° about the (.) axis", notice.message)
+    found = re.search(r"rotated by ([+-]\d+)° about the (.) axis", notice.message)
     assert found is not None
     assert found[2] == axis
     assert abs(int(found[1])) == pytest.approx(abs(sum(turn)), abs=3)

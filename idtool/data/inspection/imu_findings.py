@@ -43,7 +43,7 @@ def imu_findings(log: JointLog) -> Iterator[Notice]:
     if not is_complete:
         return
     if dead := dead_imu_sensors(log):
-        message = f"the {dead} reads the same all the time"
+        message = f"the {dead} has a constant reading"
         yield Notice("imu_dead", "problem", "imu", message, "log what it measures")
         return
     longest = max(log.segments, key=lambda segment: segment.stop - segment.start)

@@ -25,8 +25,8 @@ def sensor_findings(log: JointLog, config: Config) -> Iterator[Notice]:
             if notice not in log.notices:
                 yield notice.about(name)
         if name == "pose" and is_dead(log, channels):
-            message = "it reads the same all the time"
+            message = "it has a constant reading"
             yield Notice("pose_dead", "problem", name, message, "log it, or remove base.pose")
         if name in wrench_sensors and is_dead(log, channels):
-            message = "the wrench sensor reads the same all the time"
+            message = "the wrench sensor has a constant reading"
             yield Notice("wrench_sensor_dead", "problem", name, message, "log it, or remove it from wrench_sensors")

@@ -109,13 +109,13 @@ def _with_detected_feet(log: JointLog, loads: FootLoads) -> JointLog:
         if foot.has_automatic_flag:
             is_loaded = load > _MIN_CONTACT_LOAD
             channels[str(foot.flag_channel)] = Channel(loads.t, is_loaded.astype(float))
-            shares.append(f"{foot.name} for {100 * is_loaded.mean():.0f} %")
+            shares.append(f"{foot.name} {100 * is_loaded.mean():.0f} %")
             continue
         notice = _flag_notice(foot, log.channels[str(foot.flag_channel)], loads.t, load, is_reliable)
         if notice is not None:
             notices.append(notice)
     if shares:
-        message = f"contacts were detected by the torque of the legs; they are closed {join_names(shares)} of the time"
+        message = f"contacts were detected from the leg torques; fraction of the time closed: {join_names(shares)}"
         advice = "log the contact flags or the foot forces if the robot has them"
         notices.append(Notice("contacts_detected", "note", None, message, advice))
     return replace(log, channels=channels, notices=(*log.notices, *notices))
@@ -140,13 +140,13 @@ def _torque_notice(loads: FootLoads, log: JointLog, model: RobotModel, config: C
     carried = float(loads.vertical_load[:, is_supported].sum(axis=0).mean())
     if carried < -_NO_LOAD:
         what = (
-            f"by the torque of the legs, the feet pull at the ground with {short_number(-carried, 2)} times "
+            f"the leg torques imply that the feet pull on the ground with {short_number(-carried, 2)} times "
             "the robot's weight"
         )
         return Notice("torque_sign", "problem", "tau", what, "reverse the sign of the torque (log.scale)")
     if _MIN_CARRIED <= carried <= _MAX_CARRIED or carried <= _NO_LOAD:
         return None
-    what = f"by the torque of the legs, the feet carry {short_number(carried, 2)} times the robot's weight"
+    what = f"the leg torques imply that the feet carry {short_number(carried, 2)} times the robot's weight"
     advice = "check the scale of the torque (log.scale: N·m at the joint output per logged unit) and the URDF's masses"
     if carried < _MIN_CARRIED:
         advice += "; if something else holds the robot, add a contact for it"

@@ -681,17 +681,17 @@ def _check_sensors(log: JointLog, config: Config) -> None:
     """Refuse a log in which a wrench sensor or the IMU is dead."""
     for sensor in config.wrench_sensors:
         if is_dead(log, sensor.logged_channels):
-            what = f"the wrench sensor at {sensor.joint} reads the same all the time; log it, or remove it"
+            what = f"the wrench sensor at {sensor.joint} has a constant reading; log it, or remove it"
             raise LogError(log.path, what)
     if config.base.kind != "floating":
         return
     if config.base.pose is not None and is_dead(log, POSE):
-        what = "the pose of the base reads the same all the time; log it, or remove base.pose"
+        what = "the pose of the base has a constant reading; log it, or remove base.pose"
         raise LogError(log.path, what)
     from idtool.data.inspection.imu_findings import dead_imu_sensors
 
     if not config.base.uses_pose and (dead := dead_imu_sensors(log)):
-        what = f"the {dead} of the IMU reads the same all the time"
+        what = f"the {dead} of the IMU has a constant reading"
         raise LogError(log.path, f"{what}; log what it measures, or set base.kind: fixed if the base stands still")
 
 

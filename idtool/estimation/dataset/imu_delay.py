@@ -68,12 +68,11 @@ def with_imu_delay(config: Config, model: RobotModel, logs: Sequence[JointLog]) 
     difference = abs(delay.value - present_delay)
     if difference < _MIN_SIGNIFICANCE * delay.standard_error:
         return config, []
+    lag = f"it lags the joint measurements by {delay.text}"
     if sensor.delay != "auto":
-        message = (
-            f"it is {delay.text} late against the joints; a delay of {short_number(1e3 * present_delay)} ms is given"
-        )
+        message = f"{lag}; a delay of {short_number(1e3 * present_delay)} ms is given"
         return config, [Notice("imu_delay", "warning", name, message, f"set base.{name}.delay to auto")]
-    message = f"it is {delay.text} late against the joints; idtool corrects it"
+    message = f"{lag}; idtool corrects it"
     corrected = config.model_copy(update={"base": config.base.with_delay(delay.value)})
     return corrected, [Notice("imu_delay", "note", name, message)]
 

@@ -40,6 +40,7 @@ _MAX_REMAINING = 0.4  # of the unexplained squares that a better orientation lea
 _MIN_EXPLAINED_BY_SCALE = 0.9  # of the squares, if the scale alone is wrong: with a foot that slips, it is less
 _MAX_SCALE_ERROR = 0.15  # soft feet and a wrong radius account for less
 _MIN_AXIS_SHARE = 0.99  # of an axis along x, y or z, which is named by its letter
+_BY_FEET = "according to the kinematics of the feet on the ground"
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ def mount_notice(fit: GyroscopeFit, robot: Robot, base: Base, imu_to_base: Array
     best_share, next_share = shares[best_index], shares[next_index]
     mirrored_share, axes = max((fit.explained(imu_to_base @ np.diag(signs)), axes) for axes, signs in _mirrors())
     if not base.uses_pose and mirrored_share > needed and 1 - mirrored_share < _MAX_REMAINING * (1 - best_share):
-        message = f"its gyroscope has the wrong sign about {axes}, as feet on the ground and joints tell"
+        message = f"its gyroscope has the wrong sign about {axes}, {_BY_FEET}"
         return Notice("imu_mount", "problem", "imu", message, "correct the sign when you log it")
     if best_share > max(needed, next_share + _MIN_MARGIN):
         return _turned_notice(right_angles[best_index], robot, base)
@@ -177,7 +178,7 @@ def scale_notice(fit: GyroscopeFit, base: Base, imu_to_base: Array) -> Notice | 
     gain = 1 / fit.scale(imu_to_base)
     if abs(gain - 1) < _MAX_SCALE_ERROR:
         return None
-    message = f"its angular velocity is {gain:.2f} times that by feet on the ground and joints"
+    message = f"its angular velocity is {gain:.2f} times the one computed from the joints and the feet on the ground"
     advice = "check its unit and calibration, and the lengths of the legs in the URDF"
     return Notice("imu_against_feet", "warning", base.sensor_name, message, advice)
 
@@ -218,7 +219,7 @@ def _turned_notice(turn: Rotation, robot: Robot, base: Base) -> Notice:
     else:
         components = ", ".join(f"{x:.2f}" for x in axis + 0.0)
         about = f"{np.rad2deg(angle):.0f}° about the axis ({components})"
-    message = f"it is turned by {about} of {link}, as feet on the ground and joints tell"
+    message = f"it is rotated by {about} of {link}, {_BY_FEET}"
     mounts = [joint for joint in robot.joints.values() if joint.child == link]
     if mounts:
         rpy = _rpy(mounts[0].R @ turn.as_matrix())

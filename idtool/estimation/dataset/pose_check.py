@@ -41,7 +41,7 @@ def pose_against_imu(signals: Signals, pose: PoseSensors) -> Notice | None:
         return None
     angle = turn.magnitude()
     axis = ", ".join(f"{x:.2f}" for x in turn.as_rotvec() / angle + 0.0)
-    turned = f"it is turned by {np.rad2deg(angle):.0f}° about the axis ({axis}) of the base"
-    message = f"{turned} against its link, as the IMU tells"
+    turned = f"it is rotated by {np.rad2deg(angle):.0f}° about the axis ({axis}) of the base"
+    message = f"{turned} relative to its link, according to the IMU"
     advice = "compare the axes of base.pose.link and base.imu.link; if the feet agree with the IMU, the pose is wrong"
     return Notice("pose_against_imu", "warning", "pose", message, advice)

@@ -56,8 +56,10 @@ _ASSUMED_ERROR = 0.3  # relative standard error of the prior's inertias where lo
 _FEWEST_SHARED = 200  # variables of a problem whose folds are worth a copy of this process
 
 _REASONS = {
-    "validation": "a larger weight would increase the error on held-out blocks of time by more than one standard error",
-    "significance": f"a larger weight would move the fit more than {_MOST_MOVED:g} standard errors from the best fit",
+    "validation": "a larger weight would increase the error on the cross-validation blocks by more than one standard "
+    "error",
+    "significance": f"a larger weight would move the estimate more than {_MOST_MOVED:g} standard errors away from the "
+    "one that fits the data best",
     "range": "it is the largest weight that is tried",
     "untested": "the logs are too short for cross-validation, so the URDF's inertias are assumed to be accurate to "
     f"{100 * _ASSUMED_ERROR:g} %",

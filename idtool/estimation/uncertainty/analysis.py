@@ -31,6 +31,7 @@ from idtool.robot.inertia import PI_SIZE
 _AGREEMENT = 1.5  # ratio of two standard errors of the same coefficient, above which they do not agree
 _UNKNOWN_SHARE = 0.01  # of the samples, above which a joint's prediction is warned of
 _TINY = float(np.finfo(float).tiny)
+_INTERVALS_ALLOW = "the confidence intervals allow"
 
 
 @dataclass(frozen=True)
@@ -242,7 +243,8 @@ def _repeatability_notices(logs: Repeatability | None) -> list[Notice]:
     if logs.agrees.all():
         return notices
     count = int(np.count_nonzero(~logs.agrees))
-    differ = f"{count} of {len(logs.agrees)} base parameters differ between logs by more than their intervals"
+    verb = "differs" if count == 1 else "differ"
+    differ = f"{count} of {len(logs.agrees)} base parameters {verb} between logs by more than {_INTERVALS_ALLOW}"
     if logs.outlier is not None:
         outlier = logs.logs[logs.outlier]
         return [
@@ -287,11 +289,13 @@ def _bias_notices(bias: BiasCheck | None, is_instrumental: bool) -> list[Notice]
     if not bias.differs.any():
         return notices
     count = int(np.count_nonzero(bias.differs))
-    differ = f"{count} of {len(bias.differs)} base parameters differ between least squares and instrumental variables"
+    verb = "differs" if count == 1 else "differ"
+    differ = f"{count} of {len(bias.differs)} base parameters {verb} between least squares and instrumental variables"
     advice = ""
     if not is_instrumental:
         advice = "noise in q and v biases them, or the model lacks something; see --method iv"
-    return [*notices, Notice("biased_parameters", "warning", None, f"{differ} by more than their intervals", advice)]
+    message = f"{differ} by more than {_INTERVALS_ALLOW}"
+    return [*notices, Notice("biased_parameters", "warning", None, message, advice)]
 
 
 def _bias_unchecked(experiment: Experiment) -> Notice:
