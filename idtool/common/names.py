@@ -37,6 +37,11 @@ def count_text(number: int, noun: str) -> str:
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
+def is_or_are(number: int) -> str:
+    """Verb after a number of things."""
+    return "is" if number == 1 else "are"
+
+
 def suggestion(name: str, known: Collection[str]) -> str:
     """Hint for an unknown name: the most similar known one, or a list of the known ones."""
     closest = closest_name(name, known)

@@ -59,7 +59,7 @@ def doubt_about(
     share = max(step.chosen.score, explained_share)  # the score is of the first order
     if step.significance < _MIN_SIGNIFICANCE and share < _MIN_SHARE:
         return (
-            f"{step.chosen.words} explains {100 * share:.0f} % of the squared residual above the noise "
+            f"{step.chosen.words} explains {100 * share:.0f} % of the mean square residual above the noise "
             "floor, and most of that in a few parts of the data, so something else may be behind it"
         )
 
@@ -69,6 +69,6 @@ def doubt_about(
     share = explained / (explained + unexplained)
     where = step.chosen.joint or "all joints"
     return (
-        f"{effect_name(step.chosen.effect)} explains {100 * share:.0f} % of the squared residual of {where} above the "
-        "noise floor; the rest remains unexplained, so something else may be behind both"
+        f"{effect_name(step.chosen.effect)} explains {100 * share:.0f} % of the mean square residual of {where} above "
+        "the noise floor; the rest remains unexplained, so something else may be behind both"
     )

@@ -73,7 +73,7 @@ class Candidate:
     effect, joint, link
         Id of the effect and what it acts on; joint and link are None if it has none.
     score
-        Share of the residual's power that it explains on data not used for fitting, of 1.
+        Share of the mean square residual that it explains on data not used for fitting, of 1.
     standard_error
         Standard error of the score, from blocks.
     parameters

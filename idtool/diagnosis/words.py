@@ -31,7 +31,7 @@ def step_sentence(step: DiagnosisStep, model: RobotModel) -> str:
     region = step.location.region
     if step.entry is None:
         where = f" ({region})" if region else ""
-        return f"The residual has structure{where} that the model does not explain"
+        return f"The residual has structure{where} that the model does not explain."
     kind = effect_types()[step.chosen.effect]
     description = capitalized(kind.description)
     others = {p.name: p.arbitrary_beside for p in kind.nonlinear_parameters if p.arbitrary_beside is not None}
@@ -68,14 +68,15 @@ def _improvement(step: DiagnosisStep, units: Mapping[str, str]) -> str:
     """Errors before and after a step."""
     joint = step.chosen.joint or "overall"
     unit = units.get(joint, next(iter(units.values())))
-    kind = "Held-out torque" if step.before.validation is not None else "Torque"
+    kind = "held-out torque" if step.before.validation is not None else "torque"
     where = f" of {step.chosen.joint}" if step.chosen.joint else ""
-    text = f"{kind} error{where} {number(step.before.torque[joint])} → {number(step.after.torque[joint])} {unit} RMS"
+    before, after = step.before.torque[joint], step.after.torque[joint]
+    text = f"The {kind} error{where} changes from {number(before)} to {number(after)} {unit} RMS"
     if step.before.simulation is not None and step.after.simulation is not None:
         position_unit = POSITION_UNITS[unit]
         before, after = step.before.simulation[joint], step.after.simulation[joint]
-        text += f", position error of the simulation {number(before)} → {number(after)} {position_unit}"
-    return text
+        text += f", and the simulated position error from {number(before)} to {number(after)} {position_unit}"
+    return f"{text}."
 
 
 def fitted_along_sentence(entry: EffectEntry, model: RobotModel) -> str:

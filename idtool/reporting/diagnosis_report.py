@@ -118,7 +118,7 @@ def _data_fault(fault: Notice) -> DataFault:
     return DataFault(
         fault=fault.code,
         joint=fault.subject,
-        detail=f"{fault.message}: {fault.advice}" if fault.advice else fault.message,
+        detail=f"{fault.message}; {fault.advice}" if fault.advice else fault.message,
         undone=fault.severity == "note",
     )
 

@@ -117,7 +117,7 @@ def torque_reason(
     text = f"{where}, the torque error is {size} RMS"
     comparisons = []
     if noise is not None:
-        comparisons.append(f"noise is estimated to make {number(noise)} {unit} of it")
+        comparisons.append(f"the noise floor is {number(noise)} {unit}")
     if urdf_error is not None:
         comparisons.append(f"the error of the original URDF is {number(urdf_error)} {unit}")
     if comparisons:
@@ -176,15 +176,14 @@ def _open_loop_reason(simulation: Simulation, unit: str) -> VerdictReason:
             break
         last_trusted = horizon
     if last_trusted is None:
-        text = "Rollouts cannot be trusted"
+        text = "Open-loop rollouts cannot be trusted"
         if simulation.horizon:
-            first = simulation.horizon[0]
-            text += f": after {_time_text(first.seconds)}, they are {_distance_text(first, unit)}"
+            text += f": {_error_text(simulation.horizon[0], unit)}"
         return VerdictReason(about="motion", level="torque_only", figure=0.0, text=f"{text}.")
     time = _time_text(last_trusted.seconds)
     if last_trusted is simulation.horizon[-1]:
-        time += " or longer"
-    text = f"A rollout can be trusted for {time}: it is then {_distance_text(last_trusted, unit)}."
+        time = f"at least {time}"
+    text = f"Open-loop rollouts can be trusted for {time}: {_error_text(last_trusted, unit)}."
     level: VerdictLevel = "good" if last_trusted.seconds >= _MIN_TRUSTED_TIME else "torque_only"
     return VerdictReason(about="motion", level=level, figure=last_trusted.seconds, text=text)
 
@@ -203,17 +202,18 @@ def _closed_loop_reason(simulation: Simulation, unit: str) -> VerdictReason:
     ratio = error / baseline_error if error is not None and baseline_error else None
     is_good = ratio is not None and ratio <= _MAX_CLOSED_LOOP_ERROR
     text = (
-        f"Simulated under its controller, the robot is {number(error)} {unit} from the measured position; the command "
-        f"itself is {number(baseline_error)} {unit} from it."
+        f"In closed-loop simulation, the RMS position error is {number(error)} {unit}; for comparison, the measured "
+        f"position differs from the command by {number(baseline_error)} {unit} RMS."
     )
     return VerdictReason(about="motion", level="good" if is_good else "torque_only", figure=ratio, text=text)
 
 
-def _distance_text(horizon: Horizon, unit: str) -> str:
-    """Distance of a rollout from the measured position, and how far that has moved, in words."""
-    error = number(horizon.position["overall"])
-    moved = number(horizon.baseline["overall"])
-    return f"{error} {unit} from the measured position, which has moved by {moved} {unit}"
+def _error_text(horizon: Horizon, unit: str) -> str:
+    """Error of the rollouts at a time after their start, and how far the robot has moved by then, in words."""
+    error = f"{number(horizon.position['overall'])} {unit}"
+    moved = f"{number(horizon.baseline['overall'])} {unit}"
+    time = _time_text(horizon.seconds)
+    return f"after {time}, the RMS position error is {error}, and the robot has moved by {moved} RMS"
 
 
 def _time_text(seconds: float) -> str:
@@ -243,7 +243,7 @@ def bodies_reason(bodies: Mapping[str, BodyReport], notices: Collection[Notice])
         text = f"Masses or shapes are not plausible: {doubts[0]}."
         return VerdictReason(about="bodies", level="torque_only", figure=ratio, text=text)
     total = f"{number(mass)} kg ({number(urdf_mass)} kg in the URDF)"
-    text = f"All bodies are physically realizable. Together they have {total}"
+    text = f"All bodies are physically realizable. Their total mass is {total}"
     name = max(bodies, key=lambda name: _mass_change(bodies[name]), default=None)
     if name is not None:
         before, after = number(_urdf_mass(bodies[name])), number(bodies[name].mass)
@@ -281,7 +281,9 @@ def data_reason(base_parameters: BaseParametersResult | None, solver: SolverRepo
         determined, structural = base_parameters.determined, base_parameters.structural
         share = determined / structural if structural else None
         count = f"all {structural}" if determined == structural else f"{determined} of the {structural}"
-        text = f"The logs determine {count} combinations of parameters that the torque depends on."
+        text = (
+            f"The logs determine {count} base parameters, the combinations of parameters on which the torque depends."
+        )
     gap = abs(solver.duality_gap)
     if math.isnan(gap) or gap > _MAX_DUALITY_GAP:
         text = f"The solver did not find the optimum: the cost may exceed the minimum by {percent(gap)}."

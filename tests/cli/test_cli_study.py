@@ -102,7 +102,7 @@ def test_adapting_writes_its_two_files_and_its_report_alone_to_standard_output(f
     assert set(files(folder / "adapted")) == ADAPT_FILES
     assert (adapted.json["idtool"], adapted.json["schema"]) == (__version__, 1)
     assert strict_json((folder / "adapted" / "adapt.json").read_text()) == adapted.json
-    assert f"{adapted.json['samples']} updates, one for each decimated row: 166.7 Hz, in " in adapted.err
+    assert f"{adapted.json['samples']} updates, one per downsampled sample: 166.7 Hz, in " in adapted.err
     assert "written: adapted/adapt.json, adapt.html" in adapted.err
 
 

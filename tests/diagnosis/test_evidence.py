@@ -96,7 +96,7 @@ def test_what_explains_a_part_and_that_in_a_few_places_is_doubtful(
         after=replace(step.after, train=after, validation=None),
     )
     doubt = doubt_about(changed, UNITS, found.floor, found.after.torque, ())
-    assert ("explains 50 % of the squared residual" in doubt) is is_doubtful
+    assert ("explains 50 % of the mean square residual" in doubt) is is_doubtful
     assert bool(doubt) is is_doubtful
 
 

@@ -66,7 +66,7 @@ def test_commands_are_consistent_and_begin_and_end_at_rest(report: dict[str, Any
 def test_page_and_terminal_show_the_feet(report: dict[str, Any]) -> None:
     page = Path(report["file"]).with_suffix(".html").read_text()
     assert "Feet on the ground" in page
-    assert "tightest limit" in page
+    assert "The tightest limit is" in page
 
 
 @pytest.mark.slow

@@ -341,7 +341,7 @@ def test_the_page_shows_the_answer_and_escapes_names(report: Report) -> None:
     assert SCRIPT not in html
     assert BODY not in html
     page = Page(html)
-    assert "They differ" in page.text
+    assert "The results differ" in page.text
     assert " ".join(result.summary.split()) in " ".join(page.text.replace("\u00a0", " ").split())
 
 

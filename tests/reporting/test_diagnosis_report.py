@@ -98,7 +98,7 @@ def test_the_report_has_the_documented_keys(found: Diagnosis) -> None:
 def test_faults_and_what_is_unknown_are_there(found: Diagnosis) -> None:
     report = report_of(faulty(found))
     assert report["data_faults"] == [
-        {"fault": "velocity_lag", "joint": "hip", "detail": f"{BEHIND}: {BEHIND}", "undone": False}
+        {"fault": "velocity_lag", "joint": "hip", "detail": f"{BEHIND}; {BEHIND}", "undone": False}
     ]
     last = report["steps"][-1]
     assert (last["effect"], last["joint"], last["parameters"]) == ("unknown", "knee", {})
@@ -552,7 +552,8 @@ def test_a_sentence_has_units_and_no_ids(found: Diagnosis) -> None:
     sentence = step_sentence(step, found.last.experiment.model)
     assert sentence.startswith(
         "Friction increases towards low speed (stribeck 0.195 ± 0.003 N·m, velocity 0.117 ± 0.001 rad/s). "
-        "The residual was concentrated below 0.15 rad/s. Held-out torque error of hip 1.43 → 0.660 N·m RMS"
+        "The residual was concentrated below 0.15 rad/s. The held-out torque error of hip changes from "
+        "1.43 to 0.660 N·m RMS"
     )
     spring = EffectEntry(effect="parallel_spring", joint="hip", parameters={"stiffness": 0.0, "rest_position": -0.29})
     assert fitted_along_sentence(spring, found.last.experiment.model).startswith(

@@ -147,7 +147,7 @@ def test_when_a_mass_has_settled_is_said(report: dict[str, Any]) -> None:
 
 def test_how_often_the_parameters_were_updated_is_said(report: dict[str, Any]) -> None:
     text = page_of(report).plain
-    assert "once for each decimated row, not for each logged sample: 20000 times, at 166.7 Hz." in text
+    assert "at the downsampled rate, not at every logged sample: 20000 times, at 166.7 Hz." in text
 
 
 def test_a_mass_that_wanders_to_the_end_is_named(report: dict[str, Any]) -> None:
@@ -170,7 +170,7 @@ def test_settling() -> None:
 def test_a_body_that_cannot_exist_is_named(report: dict[str, Any]) -> None:
     report["final"]["bodies"]["shank"]["realizable"] = False
     page = page_of(report)
-    assert "1 of 3 bodies of the last estimate are not realizable: shank." in page.plain
+    assert "1 of 3 bodies of the last estimate is not realizable: shank." in page.plain
     assert page.levels[1] == "bad"
     assert page.table("mass [kg]")["shank"]["realizable"] == "NO"
 

@@ -103,7 +103,7 @@ def test_the_findings_say_how_far_to_trust_them(found: Diagnosis) -> None:
     lacks = "The original model lacks Stribeck friction on hip (or load-dependent friction on hip) and a time delay"
     assert lacks in page.plain
     assert "The data cannot distinguish it from load-dependent friction on hip." in page.plain
-    assert "Its gain on data not used for fitting is 21 times its standard error." in page.plain
+    assert "The residual that it explains on data not used for fitting is 21 times its standard error." in page.plain
     rollouts = "simulation is 0.0110 rad RMS for the final model and 0.0300 rad for the original model."
     assert f"position error of the {rollouts}" in page.plain
     page = page_of(faulty(found))
@@ -173,7 +173,7 @@ def test_tables_hold_the_reports_figures(found: Diagnosis) -> None:
     assert step[5:] == ["0.0300 → 0.0120", "64.0 ± 3.0 %", "21", "load-dependent friction on hip"]
     words = {row[0]: row[1] for row in page.rows if len(row) == 2}
     assert words["location of the residual"] == "all joints"  # the last of equal heads: of the delay
-    assert "64.0 ± 3.0 % of the residual's power" in page.plain
+    assert "64.0 ± 3.0 % of the mean square residual" in page.plain
     assert "1.2 to 2.5 s, 4.00 to 4.50 s" in page.plain
     assert ["backlash", "hip", "10.0 ± 3.0 %", "2", "within two standard errors of zero"] in page.rows
 
@@ -298,7 +298,7 @@ def test_parameters_in_words(values: dict[str, Any], errors: dict[str, Any], tex
 def test_what_to_do_next_stands_beside_the_verdict(found: Diagnosis) -> None:
     page = page_of(faulty(found))
     verdict, next_steps, steps = (page.plain.index(text) for text in ("Effects.", "What to do", "The steps"))
-    assert verdict < next_steps < page.plain.index("Its gain on data not used") < steps
+    assert verdict < next_steps < page.plain.index("The residual that it explains") < steps
     assert page.plain.count("What to do next") == 1
 
 
@@ -376,14 +376,14 @@ def test_the_picture_says_what_the_torque_is_drawn_against(
     assert (picture.layout["xaxis"].get("type") == "log") == (changes["cause"] == "distance_since_reversal")
 
 
-def test_what_was_tried_and_lost_is_folded_and_grouped(found: Diagnosis) -> None:
+def test_rejected_candidates_are_folded_and_grouped(found: Diagnosis) -> None:
     weak = [candidate("backlash", joint, score, "too weak") for joint, score in (("abad", 0.1), ("knee", 0.2))]
     step = step_of(rejected=(*weak, candidate("end_stop", reason="too weak")), alternatives=(candidate("viscous"),))
     page = page_of(replace(found, steps=(step,)))
-    assert "Tried and lost: 4 other candidates" in page.plain
-    fold = page.html.index("<summary>Tried and lost")
+    assert "4 rejected candidates" in page.plain
+    fold = page.html.index("<summary>4 rejected")
     assert page.html.rindex("<details", 0, fold) == page.html.rindex("<details>", 0, fold)  # closed
-    first = page.rows.index(["effect", "on", "residual explained", "parameters", "why it lost"]) + 1
+    first = page.rows.index(["effect", "on", "residual explained", "parameters", "reason for rejection"]) + 1
     assert [row[:3] for row in page.rows[first : first + 3]] == [
         ["viscous", "hip", "40.0 ± 3.0 %"],
         ["end stop", "hip", "40.0 ± 3.0 %"],

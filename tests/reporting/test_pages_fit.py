@@ -158,7 +158,7 @@ def test_a_joint_no_better_than_the_prior_is_named(fitted: Fit, report: dict[str
 def test_an_unrealizable_body_is_named(fitted: Fit, report: dict[str, Any]) -> None:
     report["bodies"][BODY]["realizable"] = False
     page = Page(fit_page(fitted, partial(FitReport, report), "idtool fit"))
-    assert f"1 of 2 bodies are not realizable: {BODY}." in page.text
+    assert f"1 of 2 bodies is not realizable: {BODY}." in page.text
     assert "bad" in page.levels
     assert page.table("prior [kg]")[BODY]["realizable"] == "NO"
 
@@ -166,9 +166,10 @@ def test_an_unrealizable_body_is_named(fitted: Fit, report: dict[str, Any]) -> N
 def test_what_the_data_determine_is_counted(fitted: Fit, report: dict[str, Any]) -> None:
     """The combinations that the torque depends on, or without them the parameters."""
     base = report["base_parameters"]
-    count = "all" if base["determined"] == base["structural"] else f"{base['determined']} of"
+    count = "all" if base["determined"] == base["structural"] else f"{base['determined']} of the"
     text = Page(fit_page(fitted, partial(FitReport, report), "idtool fit")).plain
-    assert f"The logs determine {count} {base['structural']} combinations of the {base['of']} parameters" in text
+    combinations = f"the combinations of the {base['of']} parameters on which the torque depends"
+    assert f"The logs determine {count} {base['structural']} base parameters, {combinations}." in text
     without = replace(fitted, uncertainty_analysis=replace(fitted.uncertainty_analysis, identifiability=None))
     known = fitted.uncertainty.identifiable
     text = Page(fit_page(without, fit_report(without), "idtool fit")).text

@@ -92,7 +92,7 @@ def test_tables_hold_the_errors(motion: dict[str, Array]) -> None:
 def test_open_loop_says_how_it_was_run_and_draws_the_error_against_time(motion: dict[str, Array]) -> None:
     page = page_of(rollouts_of(motion))
     assert "in 10 of 12 windows, spread over the logs. Each window is 0.5 s long" in page.plain
-    assert "Hold: the error if the position" in page.plain
+    assert "Hold: a baseline that keeps the position" in page.plain
     (figure,) = page.figures_of("Position error against time since the restart")
     assert figure.x == [0.01, 0.05, 0.1, 0.5]
     assert figure.titles == ["RMS error [mixed rad and m]", "time since the restart [s]"]
@@ -107,7 +107,7 @@ def test_open_loop_says_how_it_was_run_and_draws_the_error_against_time(motion: 
 def test_closed_loop_says_how_it_was_run(motion: dict[str, Array]) -> None:
     page = page_of(rollouts_of(motion, closed=True))
     assert (
-        "under the joint controller, with the logged command and the controller's delay, over 5.00 s. "
+        "in closed loop with the joint controller, its delay and the logged command, over 5.00 s. "
         "The simulation is never restarted" in page.plain
     )
     assert "q = qcmd" in page.plain

@@ -216,9 +216,9 @@ def test_a_fault_that_is_undone_is_a_note(undone: Diagnosis) -> None:
     first = next(i for i, line in enumerate(lines) if line.startswith("data fault"))
     assert lines[first - 1] == ""
     assert lines[first : first + 3] == [
-        "data fault: knee: stale: values repeat: check the bus",
-        "note on the data: hip: velocity lag: v lags: idtool corrects it",
-        "note on the data: time jitter: stamps jitter",
+        "data fault (knee): values repeat; check the bus",
+        "note on the data (hip): v lags; idtool corrects it",
+        "note on the data: stamps jitter",
     ]
     page = Page(diagnosis_page(undone, report, "idtool diagnose"))
     assert page.levels[:2] == ["bad", "note"]

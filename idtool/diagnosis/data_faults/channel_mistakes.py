@@ -63,9 +63,10 @@ class Mistake:
             Names of joints whose torque is computed from the command.
         """
         shares = (
-            f"realizable bodies leave {100 * after:.1f} % of the torque's power unexplained if this is corrected, and "
+            f"the best realizable model leaves {100 * after:.1f} % of the mean square torque unexplained with this "
+            "correction, and "
         )
-        shares += f"{100 * before:.1f} % if not" if before < 1 else "all of it if not"
+        shares += f"{100 * before:.1f} % without it" if before < 1 else "all of it without"
         alternatives = [f"{names[other.joints[0]]}: {other.details[0][0]}" for other in self.others]
         or_else = f"; the data cannot distinguish this fault from {join_names(alternatives)}" if alternatives else ""
         for joint, (defect, advice) in zip(self.joints, self.details, strict=True):

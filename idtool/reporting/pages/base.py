@@ -29,6 +29,7 @@ from markupsafe import Markup, escape
 from typing_extensions import override
 
 from idtool.common.kept_files import keep, read_kept
+from idtool.common.names import is_or_are
 from idtool.common.number_text import number, with_error
 from idtool.reporting.number_text import metres, percent
 from idtool.reporting.pages.embedding import EmbeddedFigures
@@ -105,7 +106,7 @@ def render(
     scripts: list[str],
     data: Mapping[str, Any],
     folded: Collection[str] = (),
-    questions: Mapping[str, Collection[str]] = MappingProxyType({}),
+    topics: Mapping[str, Collection[str]] = MappingProxyType({}),
     **context: object,
 ) -> str:
     """The page.
@@ -122,8 +123,8 @@ def render(
         Data of these scripts, for JSON; NaN is not allowed.
     folded
         Headings of the sections that show nothing else until they are opened.
-    questions
-        Headings of the sections that answer a question; the table of contents has a line for each question.
+    topics
+        Headings of the sections by topic; the table of contents has a line for each topic.
     context
         Variables of the templates, beside ``data``.
     """
@@ -138,7 +139,13 @@ def render(
     )
     figures = EmbeddedFigures()
     environment.filters.update(
-        code=code, unbroken=unbroken, number=number, with_error=with_error, metres=metres, percent=percent
+        code=code,
+        unbroken=unbroken,
+        number=number,
+        with_error=with_error,
+        metres=metres,
+        percent=percent,
+        is_or_are=is_or_are,
     )
     environment.globals.update(embed=figures.add, embedded=figures.to_json)
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
@@ -150,7 +157,7 @@ def render(
         scripts=scripts,
         data=data,
         folded=folded,
-        contents=_contents(page_sections, questions),
+        contents=_contents(page_sections, topics),
         plotly=compressed_plotly(),
         **context,
     )
@@ -163,17 +170,17 @@ def heading(section: tuple[str, str | Sequence[Figure]] | Section[Any]) -> str:
 
 
 def _contents(
-    sections: Sequence[TemplateSection | Section[Any]], questions: Mapping[str, Collection[str]]
+    sections: Sequence[TemplateSection | Section[Any]], topics: Mapping[str, Collection[str]]
 ) -> list[tuple[str, list[tuple[int, TemplateSection | Section[Any]]]]]:
-    """Lines of the table of contents: a question, and the numbered sections that answer it."""
+    """Lines of the table of contents: a topic, and its numbered sections."""
     numbered = list(enumerate(sections, start=1))
-    if not questions:
+    if not topics:
         return [("", numbered)]
     lines = []
-    for question, titles in questions.items():
-        answers = [(number, section) for number, section in numbered if section.title in titles]
-        if answers:
-            lines.append((question, answers))
+    for topic, titles in topics.items():
+        of_topic = [(number, section) for number, section in numbered if section.title in titles]
+        if of_topic:
+            lines.append((topic, of_topic))
     return lines
 
 

@@ -52,9 +52,9 @@ _SOLVER = ("Solver", "solver.html")
 _ORIGIN = ("Origin of this report", "origin.html")
 _MODEL_NAMES = ("prior", "identified")
 _MODELS_TEXT = "the original URDF and of the identified model"
-_BY_QUESTION: Mapping[str, Sections] = {
-    "In short": (("Verdict", "verdict.html"), ROBOT, ("Findings", "fit_findings.html")),
-    "How good?": (
+_BY_TOPIC: Mapping[str, Sections] = {
+    "Summary": (("Verdict", "verdict.html"), ROBOT, ("Findings", "fit_findings.html")),
+    "Accuracy": (
         TorqueErrorsSection(),
         _ERRORS_BY_KIND,
         _FLEET,
@@ -62,12 +62,12 @@ _BY_QUESTION: Mapping[str, Sections] = {
         ("Measured and predicted torque", "torques.html"),
         _RESIDUALS,
     ),
-    "Which parameters?": (BodiesSection(), _WHOLE_ROBOT, FrictionSection(), _EFFECTS, _WRENCH_SENSORS, _BODIES_IN_3D),
-    "What to believe?": (SOURCES, REPEATABILITY, BASE_PARAMETERS, BIAS),
-    "How was it made?": (_PRIOR, _SOLVER, _ORIGIN),
+    "Parameters": (BodiesSection(), _WHOLE_ROBOT, FrictionSection(), _EFFECTS, _WRENCH_SENSORS, _BODIES_IN_3D),
+    "Reliability": (SOURCES, REPEATABILITY, BASE_PARAMETERS, BIAS),
+    "Method and provenance": (_PRIOR, _SOLVER, _ORIGIN),
 }
-_SECTIONS = tuple(itertools.chain(*_BY_QUESTION.values()))
-_QUESTIONS = {question: tuple(map(heading, sections)) for question, sections in _BY_QUESTION.items()}
+_SECTIONS = tuple(itertools.chain(*_BY_TOPIC.values()))
+_TOPICS = {topic: tuple(map(heading, sections)) for topic, sections in _BY_TOPIC.items()}
 _FOLDED_SECTIONS: Sections = (_RESIDUALS, _BODIES_IN_3D, SOURCES, BASE_PARAMETERS, BIAS, _PRIOR, _SOLVER, _ORIGIN)
 _FOLDED = tuple(map(heading, _FOLDED_SECTIONS))
 
@@ -118,7 +118,7 @@ def fit_page(
         ["solids.js", "robot.js", "bodies.js", "trust.js"],
         {**views, **robot},
         folded=_FOLDED,
-        questions=_QUESTIONS,
+        topics=_TOPICS,
         report=report,
         verdict_level=report.verdict,
         verdict_text=LEVEL_TEXTS[report.verdict],

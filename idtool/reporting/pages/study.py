@@ -116,7 +116,7 @@ def study_page(evaluation: Evaluation, report: StudyReport, command: str) -> str
         learning=learning(report.learning),
         **_short_log_view(report.learning),
         online=_online_view(report.adaptation),
-        where="Fig. 4 of the paper: on the held-out data, with the tightest set",
+        where="On the held-out data, with the tightest set (cf. Fig. 4 of Wensing et al. 2018)",
         command=command,
     )
 

@@ -42,7 +42,9 @@ class ComparedResult(Record):
     held_out: bool = field("Whether the errors are those on held-out data; false: on the fitted data.")
     rms: ByJointOrNone = field("RMS torque errors within the filter's band, with `overall` [N·m or N].")
     nrms: ByJointOrNone = field("`rms` divided by the standard deviation of the measured torque.")
-    noise_floor: ByJointOrNone | None = field("Error that noise and rest alone make [N·m or N]; null: not known.")
+    noise_floor: ByJointOrNone | None = field(
+        "Error due to noise and to friction at standstill, which no model can predict [N·m or N]; null: not known."
+    )
     simulation: Simulation | None = field("Forward simulation; null if it was skipped.")
     friction: Annotated[ReadOnly[FrictionReport], Keys("joint")] = field("Identified friction.")
     determined: int | None = field("Number of base parameters that its logs determine; null with `--quick`.")

@@ -62,7 +62,7 @@ class CandidateReport(Record):
     joint: str | None = field("The joint it acts on; null if it has none.")
     link: str | None = field("The link it acts on; null if it has none.")
     score: float | None = field(
-        "Fraction of the squared residual that the effect explains on data to which it was not fitted."
+        "Fraction of the mean square residual that the effect explains on data to which it was not fitted."
     )
     standard_error: float | None = field("Standard error of the score.")
     parameters: int = field("Number of parameters.")
@@ -108,7 +108,7 @@ class Evidence(Record):
     """Evidence for a step."""
 
     score: float | None = field(
-        "Fraction of the squared residual that the effect explains on data to which it was not fitted."
+        "Fraction of the mean square residual that the effect explains on data to which it was not fitted."
     )
     standard_error: float | None = field("Standard error of the score.")
     significance: float | None = field("Gain in standard errors.")
@@ -205,8 +205,8 @@ class ChangeReport(Record):
     link: str | None = field("The link it acts on; null if it has none.")
     parameters: Annotated[ReadOnly[ComparedParameter], Keys("parameter")] = field("Its parameters.")
     share: float | None = field(
-        "Fraction of the squared torque gap that opens again without this change; for `rigid_body`, without the "
-        "inertia of all links; null for `command_delay`."
+        "Fraction of the removed mean square torque error that returns without this change; for `rigid_body`, without "
+        "the inertia of all links; null for `command_delay`."
     )
     reason: str = field("Why it need not be made; empty for a change to make.")
 

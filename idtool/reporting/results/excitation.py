@@ -96,7 +96,7 @@ class FootLoadReport(Record):
     """Loads of a foot that stays on the ground, at their worst."""
 
     friction_coefficient: float = field("Largest friction coefficient that the foot needs.")
-    min_force: float = field("Smallest force across the ground [N].")
+    min_force: float = field("Smallest normal force on the foot [N].")
     pressure: float | None = field(
         "Largest distance of the centre of pressure from the middle of the sole, as a fraction of half its size; null "
         "for a point."

@@ -456,8 +456,9 @@ class FitReport(ReproducibleResult):
     )
     simulation: Simulation | None = field("Forward simulation; null if it was skipped.")
     noise_floor: ByJointOrNone | None = field(
-        "RMS error in the band that noise and rest alone make, from the residual's spectrum, and `overall`; null for "
-        "joints that move too little. Null with `--quick` and for logs that were reduced [N·m or N]."
+        "RMS error in the band due to noise and to friction at standstill, which no model can predict, from the "
+        "residual's spectrum, and `overall`; null for joints that move too little. Null with `--quick` and for logs "
+        "that were reduced [N·m or N]."
     )
     noise: ByJoint = field("Torque noise used to weight the joint's equation [N·m or N].")
     bodies: Annotated[ReadOnly[BodyReport], Keys("body")] = field("Identified links and rotors.")

@@ -25,7 +25,7 @@ from idtool.reporting.sections.base import (
 )
 from idtool.robot.inertia import round_to_digits
 
-_SHARE = "Part of the squared torque gap that opens again without this change"
+_SHARE = "Fraction of the removed mean square torque error that returns without this change"
 
 
 class ChangesSection(Section[DiagnosisReport]):
@@ -47,9 +47,9 @@ class ChangesSection(Section[DiagnosisReport]):
     @override
     def text(self, report: DiagnosisReport) -> str:
         return (
-            "Values are in SI units, ± their standard errors; those in the simulator are what its logs show. "
-            "Gap: the fraction of the squared torque gap that opens again without the change. For the inertia of links "
-            "it is that of all links together, which must be changed together."
+            "Values are in SI units, ± their standard errors; the simulator's values are identified from its logs. "
+            "Gap: the fraction of the removed mean square torque error that returns without the change. For the "
+            "inertia of links it is that of all links together, which must be changed together."
         )
 
 
@@ -102,8 +102,8 @@ class SimulatorGapSection(Section[DiagnosisReport]):
             return ""
         lengths = common_unit(position_units(report.units))
         sentences = [
-            "Before: the model that the simulator's logs show, under the robot's motion or torque. After: the same "
-            "with the changes above."
+            "Before: the model identified from the simulator's logs, evaluated on the robot's logs. After: the same "
+            "model with the changes above."
         ]
         for pair in report.against.pairs:
             difference = f"{number(pair.position_rms['overall'])} {lengths}"

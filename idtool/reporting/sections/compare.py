@@ -82,7 +82,7 @@ class ComparedErrorsSection(Section[ComparisonReport]):
         for heading, text in (
             ("{}", "RMS torque error on {}'s own data"),
             ("{}, error / torque", "Error divided by the standard deviation of the torque measured for {}"),
-            ("{}, noise floor", "Error that noise and rest alone make in {}"),
+            ("{}, noise floor", "Error due to noise and to friction at standstill, which no model can predict, in {}"),
         ):
             columns += [Column(heading.format(name), help=text.format(name)) for name in "AB"]
         rows = []
@@ -101,8 +101,9 @@ class ComparedErrorsSection(Section[ComparisonReport]):
     @override
     def text(self, report: ComparisonReport) -> str:
         return (
-            "Each model on its own data, so that its motion counts, too. Error / torque: the error divided by the "
-            "standard deviation of the measured torque. Noise floor: the error that noise and rest alone make."
+            "Each model is evaluated on its own data, so the errors also depend on the motion in those data. Error / "
+            "torque: the error divided by the standard deviation of the measured torque. Noise floor: the error due to "
+            "noise and to friction at standstill, which no model can predict."
         )
 
 
@@ -200,8 +201,8 @@ class ComparedBaseParametersSection(Section[ComparisonReport]):
             "The torque depends on these combinations only. Values: the estimates from the data alone, without prior "
             "and constraints, ± one standard error; –: the data do not determine it. If the logs of a result scatter "
             "more than their standard errors predict, these are enlarged by that factor. Differs: Welch's test for two "
-            f"independent estimates; of those that are said to differ, at most {share} are expected to do so by chance "
-            "(Benjamini and Hochberg). The same limit holds for the other tables. comparison.json lists all of them."
+            f"independent estimates; the false discovery rate is limited to {share} (Benjamini and Hochberg). The same "
+            "limit holds for the other tables. comparison.json lists all of them."
         )
 
 
@@ -317,9 +318,9 @@ class ComparedBodiesSection(Section[ComparisonReport]):
     @override
     def text(self, report: ComparisonReport) -> str:
         return (
-            "Values in the models. A single parameter of a body is compared only if it rests on the data in both: else "
-            "prior or constraints may make the difference, and the base parameters tell what the data say. The "
-            "intervals contain the value in the model and the estimate from the data alone; –: the data do not "
+            "Values in the models. A single body parameter is compared only if the data determine it in both results. "
+            "Otherwise the difference may come from the prior or the constraints; compare the base parameters instead. "
+            "The intervals contain the value in the model and the estimate from the data alone; –: the data do not "
             "determine it. Centre of mass and inertia follow from the ten parameters and have no interval of their own."
         )
 
@@ -341,7 +342,7 @@ OTHERS = ComparedParametersSection("Rotors and effects", ("rotor", "effect", "wh
 class SettingsSection(Section[ComparisonReport]):
     """Settings, files and versions that differ."""
 
-    title = "What was set differently"
+    title = "Different settings"
 
     @override
     def table(self, report: ComparisonReport) -> Table | None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from typing_extensions import override
 
+from idtool.common.names import is_or_are
 from idtool.common.number_text import number, parameter_text, with_error
 from idtool.common.units import common_unit, position_units
 from idtool.reporting.diagnosis_text import UNKNOWN, effect_name, owner_name, worse_motion
@@ -29,8 +30,8 @@ from idtool.reporting.sections.base import (
 
 _MIN_SCORE = 5e-4  # a share that is shown as 0
 _MAX_INCREASE = 1.02  # times the torque error before
-_NO_REASON = "the chosen effect explains more, or is simpler or likelier"
-_EXPLAINED = "Percentage of the squared residual that the effect removes on data not used for fitting"
+_NO_REASON = "the chosen effect explains more, is simpler, or is more likely"
+_EXPLAINED = "Percentage of the mean square residual that the effect removes on data not used for fitting"
 
 
 class StepsSection(Section[DiagnosisReport]):
@@ -55,7 +56,7 @@ class StepsSection(Section[DiagnosisReport]):
                 help="Position error of the simulation, of the model before and after this step",
             ),
             Column("residual explained", help=_EXPLAINED),
-            Column("gain / se", help="Gain divided by its standard error", attached=True),
+            Column("explained / se", help="Residual explained, divided by its standard error", attached=True),
             Column("alternative", kind="words", help="Effect that the data cannot distinguish from this one"),
         ]
         rows = []
@@ -159,7 +160,7 @@ def _rollout_cell(report: DiagnosisReport, error: float | None, name: str) -> Ce
 
 @dataclass(frozen=True)
 class CandidatesSection(Section[StepReport]):
-    """Effects that were tried in a step and lost, and why; joints and links with the same reason share a row.
+    """Effects that were tried in a step and rejected, and why; joints and links with the same reason share a row.
 
     Attributes
     ----------
@@ -182,7 +183,7 @@ class CandidatesSection(Section[StepReport]):
             Column("on", kind="words"),
             Column("residual explained", help=f"{_EXPLAINED}, at most"),
             Column("parameters", help="Number of parameters"),
-            Column("why it lost", kind="words"),
+            Column("reason for rejection", kind="words"),
         ]
         rows = []
         for group in groups[: self.max_rows]:
@@ -198,12 +199,11 @@ class CandidatesSection(Section[StepReport]):
         hidden = 0
         if self.max_rows is not None:
             hidden = sum(len(group) for group in _candidate_groups(report)[self.max_rows :])
-        are = "is" if hidden == 1 else "are"
-        return f"{hidden} more {are} listed in diagnosis.json." if hidden else ""
+        return f"{hidden} more {is_or_are(hidden)} listed in diagnosis.json." if hidden else ""
 
 
 def _candidate_groups(step: StepReport) -> list[list[CandidateReport]]:
-    """Candidates of one effect that lost for the same reason, the best first; alternatives come before the rejected."""
+    """Candidates of one effect, rejected for the same reason, the best first; alternatives come before the others."""
     groups: dict[tuple[bool, str, int, str], list[CandidateReport]] = {}
     for is_rejected, candidates in ((False, step.alternatives), (True, step.rejected)):
         for candidate in sorted(candidates, key=lambda one: -(one.score or 0.0)):

@@ -102,7 +102,7 @@ class GroundSection(Section[ExcitationReport]):
         columns = [
             name_column("foot"),
             Column("friction needed", help="Largest friction coefficient that the foot needs"),
-            Column("least force", "N", help="Smallest force across the ground"),
+            Column("min. normal force", "N", help="Smallest normal force on the foot"),
             Column("centre of pressure", help="Largest distance from the middle of the sole; 100 %: at its edge"),
         ]
         rows = []
@@ -117,7 +117,7 @@ class GroundSection(Section[ExcitationReport]):
 
 
 def ground_sentence(report: ExcitationReport) -> str:
-    """Sentence on the tightest limit of a standing robot, and how far the base moves; empty for other robots."""
+    """Sentences on the tightest limit of a standing robot, and how far the base moves; empty for other robots."""
     standing = report.standing
     if standing is None:
         return ""
@@ -126,10 +126,9 @@ def ground_sentence(report: ExcitationReport) -> str:
     turn = max(largest[f"base_{axis}"] for axis in ("roll", "pitch", "yaw"))
     use = percent_cell(standing.tightest_use).text
     return (
-        f"tightest limit: {standing.tightest} ({use}, with all margins and a friction coefficient of "
-        f"{standing.friction_coefficient:g}); the base moves by up to {short_number(100 * shift, 2)} cm "
-        "and turns by up to "
-        f"{short_number(math.degrees(turn), 2)}° from the stance"
+        f"The tightest limit is {standing.tightest} ({use}, with all margins and a friction coefficient of "
+        f"{standing.friction_coefficient:g}). The base moves by up to {short_number(100 * shift, 2)} cm and turns by "
+        f"up to {short_number(math.degrees(turn), 2)}° from the stance."
     )
 
 
@@ -188,16 +187,16 @@ class DecisionSection(Section[ExcitationReport]):
 
 
 def decision_sentence(report: ExcitationReport) -> str:
-    """Sentence on the difference of the two explanations, and what to do next; empty without explanations."""
+    """Sentences on the difference of the two explanations, and what to do next; empty without explanations."""
     decision = report.decide
     if decision is None:
         return ""
     ratio = number_cell(decision.difference / decision.noise, 2).text
     difference = f"{number_cell(decision.difference, 3).text} {report.units[decision.joint]} RMS"
     significance = number_cell(decision.significance, 2).text
-    start = f"{decision.a.name} and {decision.b.name} differ by {difference} on joint {decision.joint}"
-    amount = f"{ratio} times the noise ({significance} standard errors)"
+    start = f"The explanations {decision.a.name} and {decision.b.name} differ by {difference} on joint {decision.joint}"
+    amount = f"which is {ratio} times the noise ({significance} standard errors)"
     if decision.significance < CLEAR_DIFFERENCE:
-        return f"{start}, {amount}: too little to decide between them; make the trajectory longer"
+        return f"{start}, {amount}. This is too little to decide between them. Make the trajectory longer."
     logs = "all logs" if report.logs else "the new log"
-    return f"{start}, {amount}: log this trajectory and run diagnose on {logs}"
+    return f"{start}, {amount}. Log this trajectory and run diagnose on {logs}."

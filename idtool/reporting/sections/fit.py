@@ -101,7 +101,7 @@ class ErrorsByKindSection(Section[FitReport]):
             for by_kind in (errors.prior_validation, errors.train, errors.validation):
                 cells.append(number_cell(by_kind[kind] if by_kind else None))
             rows.append([Cell(kind_label(kind)), Cell(units[kind]), *cells])
-        return Table("RMS error by kind; of a force or moment, of its length", columns, rows)
+        return Table("RMS error by kind; for forces and moments, of the error vector's magnitude", columns, rows)
 
 
 class KnownValuesSection(Section["FitReport | DiagnosisReport"]):
@@ -282,7 +282,7 @@ def _remark(body: BodyReport) -> str:
 class ReflectedInertiasSection(Section["FitReport | DiagnosisReport"]):
     """Rotors' inertia as the joints feel it."""
 
-    title = "Rotors' reflected inertia"
+    title = "Reflected rotor inertia"
 
     @override
     def table(self, report: FitReport | DiagnosisReport) -> Table | None:
@@ -305,8 +305,8 @@ class ReflectedInertiasSection(Section["FitReport | DiagnosisReport"]):
     @override
     def text(self, report: FitReport | DiagnosisReport) -> str:
         return (
-            "The rotor's inertia about its axis times the square of the gear ratio. –: the data determine this value "
-            "only in a sum with the inertia of bodies that turn with the rotor. If prior or constraints change the "
+            "The rotor's inertia about its axis times the square of the gear ratio. –: the data determine only the sum "
+            "of this value and the inertia of the bodies that turn with the rotor. If prior or constraints change the "
             "value, the interval contains both the value and the estimate from the data alone."
         )
 

@@ -39,8 +39,9 @@ class FleetSection(Section[FitReport]):
     def text(self, report: FitReport) -> str:
         own = report.fleet.own if report.fleet else ()
         return (
-            f"All robots have the same bodies; each has its own {join_names(own)}. A robot differs if a value of these "
-            "is further from the others' median than four times the scatter (its standard error and their spread) "
-            "and 30 % of the largest value, or if a model fitted to its logs alone has at least 15 % less error. The "
-            "other tables have the mean of the robots; the model of each is in the folder robots/."
+            f"All robots have the same bodies; each has its own {join_names(own)}. A robot stands out if one of these "
+            "values differs from the median of the other robots by more than four times the scatter (its standard "
+            "error combined with the standard errors and the spread of the others) and by more than 30 % of the "
+            "largest value, or if a model fitted to its logs alone has at least 15 % less error. The other tables show "
+            "the mean over the robots; the model of each is in the folder robots/."
         )

@@ -84,7 +84,7 @@ class ModelErrorsByKindSection(Section[ValidationReport]):
             if errors.prior is not None:
                 row.append(number_cell(errors.prior[kind]))
             rows.append(row)
-        return Table("RMS error by kind; of a force or moment, of its length", columns, rows)
+        return Table("RMS error by kind; for forces and moments, of the error vector's magnitude", columns, rows)
 
 
 class RegressionCasesSection(Section[RegressionReport]):

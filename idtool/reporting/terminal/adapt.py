@@ -14,7 +14,7 @@ def show_adaptation(terminal: Output, report: AdaptationReport, folder: Path | N
     """The error of the prediction one sample ahead, and the bodies at the end."""
     terminal.sections([PredictionErrorsSection(), FinalBodiesSection()], report)
     terminal.notices(report.notices)
-    updates = f"{report.samples} updates, one for each decimated row: {short_number(report.update_hz, 4)} Hz"
+    updates = f"{report.samples} updates, one per downsampled sample: {short_number(report.update_hz, 4)} Hz"
     terminal.say(f"{updates}, in {report.seconds:.1f} s")
     if folder is not None:
         terminal.say(f"written: {folder}/adapt.json, adapt.html")

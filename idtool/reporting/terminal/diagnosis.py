@@ -74,12 +74,11 @@ def _show_files(terminal: Output, folder: Path, files: Sequence[str]) -> None:
 def _show_data_faults(terminal: Output, report: DiagnosisReport) -> None:
     """Print the faults of the data that the verdict does not name, those first that idtool does not correct."""
     for fault in report.lesser_faults:
-        on_joint = f"{fault.joint}: " if fault.joint else ""
+        on_joint = f" ({fault.joint})" if fault.joint else ""
         kind, style = "data fault", "problem" if is_correctable(fault) else "warning"
         if fault.undone:
             kind, style = "note on the data", "note"
-        what = fault.fault.replace("_", " ")
-        terminal.say(f"{kind}: {on_joint}{what}: {fault.detail}", STYLE[style])
+        terminal.say(f"{kind}{on_joint}: {fault.detail}", STYLE[style])
     if report.lesser_faults:
         terminal.say("")
 
@@ -122,4 +121,4 @@ def _show_errors(terminal: Output, report: DiagnosisReport) -> None:
 def _show_rejected(terminal: Output, steps: Sequence[StepReport]) -> None:
     """Print the reason why each candidate was rejected."""
     for i, step in enumerate(steps, 1):
-        terminal.sections([CandidatesSection(f"Step {i}: tried and lost")], step)
+        terminal.sections([CandidatesSection(f"Step {i}: rejected candidates")], step)

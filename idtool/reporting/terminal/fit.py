@@ -35,7 +35,10 @@ def show_fit(terminal: Output, report: FitReport, folder: Path | None = None) ->
     if report.controller and report.controller.text:
         terminal.say(f"controller delay: {report.controller.text}")
     if report.base_parameters:
-        terminal.say("the last columns of the bodies count the main source of each body's ten parameters")
+        terminal.say(
+            "data, combination, constraints, prior: how many of the body's ten parameters come mainly from each source "
+            "(combination: the data determine them only together with other parameters)"
+        )
     terminal.sections([RepeatabilitySection()], report)
     regularization = report.regularization
     if regularization.automatic is not None:
