@@ -57,7 +57,7 @@ def next_steps(reasons: Sequence[VerdictReason]) -> list[str]:
     Parameters
     ----------
     reasons
-        All reasons of the verdict.
+        All reasons of the verdict, problems of the logs first.
     """
     level = worst_level(reasons)
     if level == "good":
@@ -66,12 +66,12 @@ def next_steps(reasons: Sequence[VerdictReason]) -> list[str]:
         steps = ["Use the model for feedforward and gravity compensation, but not for simulation."]
         is_inaccurate = any(reason.about == "motion" and reason.figure is not None for reason in reasons)
         return [*steps, _SEARCH_STEP] if is_inaccurate else steps
+    if reasons[0].about == "data":
+        return ["First correct the data, or describe them correctly in the configuration; then repeat the command."]
     refused = next(reason for reason in reasons if reason.level == level)
-    if refused.about == "data":
-        return [
-            "First correct the data, or describe them correctly in the configuration, and then repeat this command."
-        ]
-    return [_SEARCH_STEP]
+    if refused.about == "bodies":
+        return ["Fit again with tighter constraints."]
+    return ["Fit again with another solver."] if refused.about == "data" else [_SEARCH_STEP]
 
 
 def torque_reason(

@@ -127,6 +127,8 @@ def reason(about: str, level: str, figure: float | None = 1.0) -> VerdictReason:
         ([reason("motion", "torque_only", 0.05)], ["Use the model for feedforward", "Find out what the model lacks"]),
         ([reason("torque", "do_not_use"), reason("motion", "torque_only")], ["Find out what the model lacks"]),
         ([reason("data", "do_not_use"), reason("torque", "do_not_use")], ["First correct the data"]),
+        ([reason("torque", "good"), reason("bodies", "do_not_use")], ["Fit again with tighter constraints"]),
+        ([reason("torque", "good"), reason("data", "do_not_use")], ["Fit again with another solver"]),
     ],
 )
 def test_what_to_do_next_follows_from_the_worst_reason(reasons: list[VerdictReason], starts: list[str]) -> None:
