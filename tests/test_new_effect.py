@@ -161,7 +161,7 @@ def test_it_is_named_by_diagnose_in_its_own_words(folder: Path, run: Callable[..
 
     page = (folder / "diagnosed" / "diagnosis.html").read_text()
     for text in (" ".join(printed.split()), page):
-        assert "The model lacks a cubic spring on swing" in text
+        assert "The original model lacks a cubic spring on swing" in text
         assert re.search(r"A spring that stiffens acts across the joint \(stiffness 0\.(8|79)", text)
         assert "N·m/rad³, rest position 0." in text
     assert "Cubic spring on swing" in page

@@ -111,6 +111,7 @@ def test_a_validation_is_that_of_one_process(scheduler: str, logs: list[Path]) -
         assert_same_figures(own[key], expected[key], key)
 
 
+@pytest.mark.slow
 def test_a_study_is_that_of_one_process(
     scheduler: str, logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -235,6 +235,7 @@ def with_spring(file: Path, stiffness: float, source: Path = TRAIN) -> Path:
 SEARCH = {"effects": ["parallel_spring", "quadratic_drag"], "simulation": False}
 
 
+@pytest.mark.slow
 def test_a_diagnosis_of_a_short_log_is_that_of_the_log(tmp_path: Path) -> None:
     """A reduction keeps all samples of it."""
     log = with_spring(tmp_path / "spring.mcap", 3.0)
@@ -330,6 +331,7 @@ def few_problems(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"idtool.estimation.study.study.{name}", value)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_problems")
 def test_a_study_is_that_of_the_logs(reduction: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From logs reduced one by one, of which fewer rows are kept in a study of both, and from one of each kind."""
@@ -369,6 +371,7 @@ def test_the_page_of_a_study_of_reductions(reduction: Path, validation: Path, tm
     assert report["samples"]["validation"] > report["samples"]["train"] * 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_problems")
 def test_a_study_leaves_out_bad_logs(reduction: Path, tmp_path: Path) -> None:
     bad = tmp_path / "bad.csv"
@@ -382,7 +385,7 @@ def test_a_study_leaves_out_bad_logs(reduction: Path, tmp_path: Path) -> None:
     assert [notice["subject"] for notice in done.json["notices"] if notice["code"] == "log_left_out"] == ["bad.csv"]
 
 
-@pytest.mark.parametrize("cluster", [None, "local:1"])
+@pytest.mark.parametrize("cluster", [None, pytest.param("local:1", marks=pytest.mark.slow)])
 def test_reductions_are_enough_if_no_log_can_be_used(
     reduction: Path, validation: Path, tmp_path: Path, cluster: str | None
 ) -> None:

@@ -204,7 +204,10 @@ def test_help_documents_each_command(name: str) -> None:
 
 
 @pytest.mark.usefixtures("short_study")
-@pytest.mark.parametrize(("name", "extra"), [("ellipsoids", []), ("adapt", []), ("study", ["--draws", "5"])])
+@pytest.mark.parametrize(
+    ("name", "extra"),
+    [("ellipsoids", []), ("adapt", []), pytest.param("study", ["--draws", "5"], marks=pytest.mark.slow)],
+)
 def test_the_examples_run_as_they_are_written(folder: Path, tmp_path: Path, name: str, extra: list[str]) -> None:
     """But with few draws."""
     for file in ("leg.urdf", "leg.yaml"):

@@ -157,7 +157,7 @@ def test_extras_that_are_to_be_installed_exist(page: Path) -> None:
     extras = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     packages = {re.split(r"\W", line)[0] for line in extras["dev"]}
     for line in re.findall(r"`pip install ([^`]*)`", " ".join(page.read_text().split())):
-        named = re.fullmatch(r"-e '\.\[(\w+)\]'", line)
+        named = re.fullmatch(r"(?:-e )?'\.\[(\w+)\]'", line)
         assert named[1] in extras if named else line == "." or line in packages, line
 
 

@@ -173,7 +173,9 @@ def test_simulation_is_only_of_the_time_without_a_push(folder: Path) -> None:
     assert simulation.position["overall"] < 0.1 * simulation.baseline.position["overall"]
 
 
-@pytest.mark.parametrize(("log", "contact"), [("pushed", measured("world")), ("touched", UNKNOWN)])
+@pytest.mark.parametrize(
+    ("log", "contact"), [("pushed", measured("world")), pytest.param("touched", UNKNOWN, marks=pytest.mark.slow)]
+)
 def test_diagnosis_names_friction_beside_a_push(folder: Path, log: str, contact: dict[str, Any]) -> None:
     """Coulomb friction of one joint that the model lacks, and no other effect."""
     friction = {name: {"viscous": True, "coulomb": name != "lift"} for name in JOINTS}

@@ -122,6 +122,7 @@ def test_errors_go_with_the_noise_and_friction_is_told(tmp_path: Path) -> None:
     assert once["bodies"]["upper"]["standard_error"][0] is None  # a mass on the first joint is told by no motion
 
 
+@pytest.mark.slow
 def test_favoured_parameters_become_sharper(tmp_path: Path) -> None:
     plain, _ = excited(tmp_path, LEG, "--iterations", "15", "--noise", "0.1")
     keen, _ = excited(

@@ -106,7 +106,7 @@ def test_the_foot_is_on_the_papers_shell(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not PANDA.is_file(), reason="the Panda's URDF is not part of this repository")
-@pytest.mark.parametrize("pattern", ["fourier", "shell"])
+@pytest.mark.parametrize("pattern", [pytest.param("fourier", marks=pytest.mark.slow), "shell"])
 def test_an_arm_of_seven_joints(tmp_path: Path, pattern: str) -> None:
     config = CONFIGS / "panda.yaml"
     report, log = excited(tmp_path, PANDA, "--config", config, "--pattern", pattern, "--iterations", "3")

@@ -96,6 +96,7 @@ def test_the_page_is_complete_in_itself_and_safe(report: dict[str, Any]) -> None
     assert {SCRIPT, SLIDE, BODY} < {row[0] for row in page.rows}
 
 
+@pytest.mark.slow
 def test_a_long_log_of_a_large_robot_stays_small(rng: np.random.Generator) -> None:
     report = adapt_of([f"j{i}" for i in range(12)], [f"body {i}" for i in range(30)])
     report["theta"] = rng.normal(size=(len(report["t"]), len(report["coefficients"]))).tolist()

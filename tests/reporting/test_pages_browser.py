@@ -112,9 +112,8 @@ def at_rest(opened: Browser) -> dict[str, Any]:
     return dict(now)
 
 
-@pytest.mark.parametrize(
-    "name", ["report.html", pytest.param("diagnosis.html", marks=pytest.mark.slow), AS_THE_REPORT[0]]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["report.html", "diagnosis.html", "validation.html"])
 def test_the_robot_moves_and_turns(page: Callable[[str], Path], opened: Browser, name: str) -> None:
     """The slider moves it, the mouse turns it, the prior beside it too, and it stays turned when it is moved again."""
     opened.use(page(name), 1400, False, "[data-robot]")

@@ -122,7 +122,7 @@ def test_of_several_imus_the_one_in_all_logs_is_read(tmp_path: Path, urdf: Path)
     assert "base.imu.topic" in [item.key for item in with_none.todo]
 
 
-@pytest.mark.parametrize("frame", ["world", "link"])
+@pytest.mark.parametrize("frame", [pytest.param("world", marks=pytest.mark.slow), "link"])
 def test_axes_of_measured_forces_are_found(tmp_path: Path, urdf: Path, frame: str) -> None:
     standing = record_quadruped("stand", 2.0)
     if frame == "link":
