@@ -101,8 +101,9 @@ class Change:
     quantities
         Its parameters by name.
     share
-        Share of the squared torque gap that is open without this change, every joint relative to its torque; of the
-        inertia of links, without that of all links. None for the controller's delay, which changes the robot's torque.
+        Share of the removed mean square torque error that returns without this change, every joint relative to its
+        torque; of the inertia of links, without that of all links. None for the controller's delay, which changes the
+        robot's torque.
     reason
         Reason why it need not be made, a few words; empty for one that is to be made.
     """

@@ -13,10 +13,10 @@ wrong_joint_order   torques, velocities or whole joints that stand under each ot
 dropped_samples     time lost in gaps, or samples lost without one in the stamps
 clipped             a channel sits at its extremes while what it measures goes on beyond
 stale               a channel repeats values while it, or the joint, changes: held, frozen, not filled
-velocity_lag        the measured velocity is late against the position; it is undone
+velocity_lag        the measured velocity lags the position; this is corrected
 time_jitter         stamps that are not even, or samples that were not taken at their stamps
 wrapped_position    the position jumps by full turns
-imu_mount           the IMU is turned against its link in the URDF
+imu_mount           the IMU is rotated relative to its link in the URDF
 foot_slip           a foot slips on the ground, or is in the air while its flag is set
 =================== ==================================================================================================
 """

@@ -125,7 +125,7 @@ def fit_gyroscope(motion: FootMotion, imu_to_base: Array) -> GyroscopeFit:
 
 
 def mount_notice(fit: GyroscopeFit, robot: Robot, base: Base, imu_to_base: Array) -> Notice | None:
-    """Notice about an IMU that is turned against its link in the URDF, or of which a sign is wrong.
+    """Notice about an IMU that is rotated relative to its link in the URDF, or of which a sign is wrong.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def _mirrors() -> Iterator[tuple[str, Array]]:
 
 
 def _turned_notice(turn: Rotation, robot: Robot, base: Base) -> Notice:
-    """Notice that the sensor is turned against its link, with the rpy that is right."""
+    """Notice that the sensor is rotated relative to its link, with the rpy that is right."""
     link = base.sensor.link or robot.root
     vector = turn.as_rotvec()
     angle = float(np.linalg.norm(vector))

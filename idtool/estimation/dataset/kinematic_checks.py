@@ -18,7 +18,7 @@ KINEMATIC_FAULTS = ("imu_mount", "foot_slip")
 
 
 def kinematic_notices(signals: Signals, model: RobotModel, config: Config) -> Iterator[Notice]:
-    """Notices about an IMU that is turned against its link, a pose that differs from it, and feet that slip.
+    """Notices about an IMU that is rotated relative to its link, a pose that differs from it, and feet that slip.
 
     Parameters
     ----------
