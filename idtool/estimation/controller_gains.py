@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -50,7 +50,7 @@ from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.command_delay import DelayPolynomial, minimizing_delay, projected_out, scaled_least_squares
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, Run
-from idtool.estimation.dataset.reduction import Factor, Reduction
+from idtool.estimation.dataset.reduction import Reduction, empty
 from idtool.estimation.dataset.weights import freedom_left
 from idtool.estimation.problem.prior_bodies import prior_bodies
 from idtool.estimation.uncertainty.base_parameters import structural_base_parameters
@@ -68,7 +68,7 @@ _SCALES: Mapping[ScaleSource, str] = {
     "prior": "the masses of the prior",
 }
 
-_UNITS: Mapping[GainName, tuple[float, float]] = {"kp": (1.0, 0.0), "kd": (0.0, 1.0)}
+_UNIT_GAINS: Mapping[GainName, tuple[float, float]] = {"kp": (1.0, 0.0), "kd": (0.0, 1.0)}  # kp and kd
 _MOST_STEPS = 50
 _CONVERGED = 1e-4  # relative change of all gains in a step
 _MOST_KP_RATIO = 2.0  # of a kp to that before the step
@@ -180,7 +180,8 @@ def with_gains(experiment: Experiment, progress: Progress) -> tuple[Experiment, 
     gains = tuple(_unknown_gains(experiment))
     if controller is None or not gains:
         return experiment, None
-    includes_friction = _check(experiment, gains)
+    _check_model(experiment, gains)
+    includes_friction = _joints_with_friction_in_kd(experiment, gains)
     fit = _GainFit(experiment, gains, progress)
     fitted: dict[GainName, dict[str, UncertainValue]] = {"kp": {}, "kd": {}}
     for gain, value, error in zip(gains, fit.values.tolist(), fit.standard_errors.tolist(), strict=True):
@@ -237,25 +238,37 @@ def _unknown_gains(experiment: Experiment) -> Iterator[_Gain]:
             yield _Gain("kd", joint, index)
 
 
-def _check(experiment: Experiment, gains: Sequence[_Gain]) -> tuple[str, ...]:
-    """Joints whose kd includes viscous friction; ConfigError if the model or the logs do not allow to fit gains."""
+def _check_model(experiment: Experiment, gains: Sequence[_Gain]) -> None:
+    """Refuse a model with which gains are not fitted; ConfigError."""
     key = f"controller.{gains[0].name}"
-    if experiment.equation.contacts is not None:
+    equation = experiment.equation
+    if equation.contacts is not None:
         raise ConfigError(key, "fit is not for a floating base, contacts or wrench sensors; give a number")
-    if experiment.equation.has_sensors or any(effect.uses_measured_torque for effect in experiment.equation.effects):
+    if equation.has_sensors or any(effect.uses_measured_torque for effect in equation.effects):
         what = "fit is not for models with effects on the measured torque, or with elastic joints"
         raise ConfigError(key, f"{what}; give a number, or remove these effects")
+
+
+def _joints_with_friction_in_kd(experiment: Experiment, gains: Sequence[_Gain]) -> tuple[str, ...]:
+    """Joints without a moving velocity command, whose kd includes viscous friction.
+
+    Raises
+    ------
+    ConfigError
+        If the model has viscous friction of such a joint, or its delay is not given: neither can be told from kd.
+    """
+    kd_joints = [gain.joint for gain in gains if gain.name == "kd"]
+    without_command = [joint for joint in kd_joints if not _velocity_command_moves(experiment, joint)]
     viscous = friction_types()["viscous"].id
     with_viscous_friction = {c.owner for c in experiment.equation.coefficients if c.effect == viscous}
-    still = [gain.joint for gain in gains if gain.name == "kd" and not _velocity_command_moves(experiment, gain.joint)]
     controller = experiment.config.controller
-    has_delay = controller is not None and controller.known_delay is not None
-    confounded = [joint for joint in still if not has_delay or joint in with_viscous_friction]
+    is_delay_given = controller is not None and controller.known_delay is not None
+    confounded = [joint for joint in without_command if not is_delay_given or joint in with_viscous_friction]
     if confounded:
         what = f"without a moving vcmd, fit cannot tell kd of {join_names(confounded)} from viscous friction and delay"
         both = "or set friction.viscous: false and give controller.delay; kd then includes viscous friction"
         raise ConfigError("controller.kd", f"{what}; give kd, log vcmd, {both}")
-    return tuple(still)
+    return tuple(without_command)
 
 
 def _velocity_command_moves(experiment: Experiment, joint: str) -> bool:
@@ -274,23 +287,24 @@ def _velocity_command_moves(experiment: Experiment, joint: str) -> bool:
 def _torque_columns(equation: LinearModel, run: Run, gains: Sequence[_Gain], lags: DelayPolynomial) -> Rows:
     """Columns of the torque equation, those of the joint's gains and its known torque, both at each of the delays."""
     given = run.signals.controller
-    known = given.with_unknown_gains(0.0, 0.0)
-    units = {name: _unit_controller(given, *unit) for name, unit in _UNITS.items()}
-    signals = run.signals.with_controller(known)
+    signals = run.signals.with_controller(given.with_unknown_gains(0.0, 0.0))
     parts = signals.delayed_ranges(max(lags.delays), run.train)
+    names = {gain.name for gain in gains}
+    unit_controllers = {name: _unit_controller(given, *_UNIT_GAINS[name]) for name in names}
 
     def rows_of(batch: Batch, span: BatchSpan) -> tuple[list[Array], list[Mask]]:
         columns, kept = equation.filtered_rows(batch)
+        known_torques = batch.filter(equation.delayed_torques(batch.motion))  # (K, nv, n)
         samples = slice(span.start - span.before, span.stop + span.after)
-        torques = batch.filter(equation.delayed_torques(batch.motion))
-        of_units: dict[str, Array] = {}
-        for name in {gain.name for gain in gains}:
-            of_units[name] = batch.filter(signals.controller_torques(units[name], samples, lags.delays))
-        blocks = []
-        for j, own in enumerate(columns):
-            of_gains = [of_units[gain.name][:, j] for gain in gains if gain.index == j]
-            blocks.append(np.concatenate([own[:-1], *of_gains, torques[:, j]]))
-        return blocks, kept
+        unit_torques: dict[GainName, Array] = {}  # (K, nv, n) each
+        for name, controller in unit_controllers.items():
+            unit_torques[name] = batch.filter(signals.controller_torques(controller, samples, lags.delays))
+        rows = []
+        for j, own_columns in enumerate(columns):
+            of_coefficients = own_columns[:-1]  # without the torque, which follows for each delay
+            of_gains = [unit_torques[gain.name][:, j] for gain in gains if gain.index == j]
+            rows.append(np.concatenate([of_coefficients, *of_gains, known_torques[:, j]]))
+        return rows, kept
 
     return signals.batches(parts, delays=lags.delays).map_with_span(rows_of)
 
@@ -363,6 +377,24 @@ class _Estimate:
     def values(self) -> Array:
         """The gains, shape (G,)."""
         return np.array(list(self.gains.values()))
+
+
+class _Linearization(NamedTuple):
+    """A joint's torque equation about an estimate, Y z = columns · (gains, delay) + right.
+
+    Attributes
+    ----------
+    columns
+        Derivatives of the controller's torque with respect to gains and delay, shape (rows, G + 1).
+    right
+        What does not depend on them, shape (rows,).
+    residual
+        Y z minus the controller's torque at the estimate, shape (rows,).
+    """
+
+    columns: Array
+    right: Array
+    residual: Array
 
 
 class _GainFit:
@@ -447,33 +479,31 @@ class _GainFit:
         kd = 0.0 if velocity is None else max(float(x[-1]), 0.0)
         return {"kp": float(kp), "kd": kd}, x[: len(own)]
 
-    def _linearized(self, joint: _JointRows, estimate: _Estimate) -> tuple[Array, Array, Array]:
-        """A joint's columns of gains and delay (rows, G + 1), right side and residual (rows,) at an estimate.
-
-        The torque equation is Y z = columns · (gains, delay) + right side; see the module.
-        """
+    def _linearized(self, joint: _JointRows, estimate: _Estimate) -> _Linearization:
+        """A joint's torque equation about an estimate; qcmd − q is predicted, see the module."""
         weights, slopes = self._lags.weights(estimate.delay), self._lags.slopes(estimate.delay)
-        known, of_delay = joint.known @ weights, joint.known @ slopes
-        columns = np.zeros((len(joint.Y), len(self._gains) + 1))
+        known = joint.known @ weights
+        delay_slope = joint.known @ slopes  # d torque / d delay
         residual = joint.Y @ estimate.z - known
-        for i, (gain, value) in enumerate(estimate.gains.items()):
-            if gain in joint.unit_torques:
-                columns[:, i] = joint.unit_torques[gain] @ weights
-                residual = residual - value * columns[:, i]
-                of_delay = of_delay + value * (joint.unit_torques[gain] @ slopes)
-        right = known - of_delay * estimate.delay
-        for i, (gain, value) in enumerate(estimate.gains.items()):
-            if gain in joint.unit_torques and gain.name == "kp":
+        columns = np.zeros((len(joint.Y), len(self._gains) + 1))
+        own = [(i, *item) for i, item in enumerate(estimate.gains.items()) if item[0] in joint.unit_torques]
+        for i, gain, value in own:
+            columns[:, i] = joint.unit_torques[gain] @ weights
+            residual = residual - value * columns[:, i]
+            delay_slope = delay_slope + value * (joint.unit_torques[gain] @ slopes)
+        right = known - delay_slope * estimate.delay
+        for i, gain, value in own:
+            if gain.name == "kp":
                 columns[:, i] += residual / value  # qcmd − q as it is predicted
                 right = right - residual
-        columns[:, -1] = of_delay
-        return columns, right, residual
+        columns[:, -1] = delay_slope
+        return _Linearization(columns, right, residual)
 
     def _noise(self, rows: Sequence[_JointRows], estimate: _Estimate) -> Array:
         """Rms residual of each joint, shape (nv,) [N·m or N]."""
         noise = []
         for joint in rows:
-            residual = float(np.linalg.norm(self._linearized(joint, estimate)[2]))
+            residual = float(np.linalg.norm(self._linearized(joint, estimate).residual))
             torque = float(np.linalg.norm(joint.Y @ estimate.z))
             noise.append(max(residual, _LEAST_NOISE * torque, _TINY) / np.sqrt(max(joint.count, 1.0)))
         return np.array(noise)
@@ -486,9 +516,11 @@ class _GainFit:
         for joint, sigma in zip(rows, noise, strict=True):
             parts.append((joint.Y / sigma, *(part / sigma for part in self._linearized(joint, estimate))))
         if with_soft:
-            soft, values, _ = self.scale.soft()
-            soft, values = (np.sqrt(self._samples_per_independent) * part for part in (soft, values))
-            parts.append((soft, np.zeros((len(soft), len(self._gains) + 1)), values, soft @ estimate.z - values))
+            soft = self.scale.soft()
+            soft_rows = np.sqrt(self._samples_per_independent) * soft.rows
+            values = np.sqrt(self._samples_per_independent) * soft.values
+            no_gains = np.zeros((len(values), len(self._gains) + 1))
+            parts.append((soft_rows, no_gains, values, soft_rows @ estimate.z - values))
         Y, columns, right, residual = (np.concatenate(part) for part in zip(*parts, strict=True))
         return Y, columns, right, residual
 
@@ -500,16 +532,20 @@ class _GainFit:
         right = right - Y @ constrained.z0
         Y = Y @ constrained.N
         is_bounded = np.isfinite(constrained.lower)
-        lower, upper = self._bounds(estimate)
-        A = np.column_stack([Y[:, is_bounded], -columns])
-        low = np.concatenate([constrained.lower[is_bounded], lower])
-        high = np.concatenate([np.full(np.count_nonzero(is_bounded), np.inf), upper])
-        x = _bounded_least_squares(projected_out(np.column_stack([A, right]), Y[:, ~is_bounded]), low, high)
+        bounded, unbounded = Y[:, is_bounded], Y[:, ~is_bounded]
+        bounded_count = bounded.shape[1]
+        A = np.column_stack([bounded, -columns])  # of bounded coefficients, gains and delay
+        lower_of_gains, upper_of_gains = self._bounds(estimate)
+        lower = np.concatenate([constrained.lower[is_bounded], lower_of_gains])
+        upper = np.concatenate([np.full(bounded_count, np.inf), upper_of_gains])
+        without_unbounded = projected_out(np.column_stack([A, right]), unbounded)
+        x = _bounded_least_squares(without_unbounded, lower, upper)
         y = np.zeros(Y.shape[1])
-        y[is_bounded], gains_and_delay = np.split(x, [np.count_nonzero(is_bounded)])
-        y[~is_bounded], _ = scaled_least_squares(Y[:, ~is_bounded], right - A @ x)
+        y[is_bounded], gains_and_delay = np.split(x, [bounded_count])
+        y[~is_bounded], _ = scaled_least_squares(unbounded, right - A @ x)
         *values, delay = gains_and_delay.tolist()
-        return _Estimate(constrained.z0 + constrained.N @ y, dict(zip(self._gains, values, strict=True)), delay)
+        z = constrained.z0 + constrained.N @ y
+        return _Estimate(z, dict(zip(self._gains, values, strict=True)), delay)
 
     def _bounds(self, estimate: _Estimate) -> tuple[Array, Array]:
         """Lower and upper bounds of gains and delay for the step from an estimate, shape (G + 1,)."""
@@ -536,9 +572,16 @@ class _GainFit:
         rest, size = columns - Y @ N @ of_columns, np.linalg.norm(columns, axis=0)
         self._check_determined(rest, size)
         has_column = np.linalg.norm(rest, axis=0) > _LEAST_REST * size  # a given delay has none
-        information = rest[:, has_column].T @ rest[:, has_column]
-        inverse = np.linalg.inv(information)
-        variance = np.diag(inverse) * self._samples_per_independent
+        rest = rest[:, has_column]
+        inverse = np.linalg.inv(rest.T @ rest)
+
+        soft = self.scale.soft()
+        of_data, of_soft = np.split(rest, [len(rest) - len(soft.values)])
+        soft_scores = of_soft * (soft.weights * np.sqrt(self._samples_per_independent))[:, None]
+        soft_scatter = soft_scores.T @ soft_scores  # by the errors themselves, which the fit divides by the weights
+        data_scatter = self._samples_per_independent * (of_data.T @ of_data)
+        variance = np.diag(inverse @ (data_scatter + soft_scatter) @ inverse)
+
         scores = []
         length = max(sum(map(len, data)) // _CLUSTERS, 1)
         for log in data:
@@ -548,11 +591,8 @@ class _GainFit:
                 own_rest = (own_columns - own_Y @ N @ of_columns)[:, has_column]
                 scores.append(own_rest.T @ residual)
         if len(scores) >= FEWEST_CLUSTERS:
-            _, values, weights = self.scale.soft()
-            soft = rest[len(rest) - len(values) :, has_column]
-            soft = soft * (weights * np.sqrt(self._samples_per_independent))[:, None]
-            scatter = np.atleast_2d(len(scores) * np.cov(np.transpose(scores))) / freedom_left(total, rank)
-            robust = np.diag(inverse @ (scatter + soft.T @ soft) @ inverse)
+            cluster_scatter = np.atleast_2d(len(scores) * np.cov(np.transpose(scores))) / freedom_left(total, rank)
+            robust = np.diag(inverse @ (cluster_scatter + soft_scatter) @ inverse)
             variance = np.maximum(variance, robust)
         return np.asarray(np.sqrt(variance[: len(self._gains)]))
 
@@ -588,6 +628,24 @@ class _Constrained:
     z0: Array
     N: Array
     lower: Array
+
+
+class _SoftConstraints(NamedTuple):
+    """Measured constraints row · z = value, in units of their standard errors over their weights.
+
+    Attributes
+    ----------
+    rows
+        Shape (n, p').
+    values
+        Shape (n,).
+    weights
+        How many times more each counts in the fit than its standard error tells, shape (n,).
+    """
+
+    rows: Array
+    values: Array
+    weights: Array
 
 
 class _Scale:
@@ -632,20 +690,17 @@ class _Scale:
                 what = f"the URDF's bodies exert no torque on {joints[j]}, so that nothing tells the scale of its gains"
                 raise ConfigError("controller.kp", f"{what}; give its kp, or correct the URDF's masses")
 
-    def soft(self) -> tuple[Array, Array, Array]:
-        """Measured constraints in units of their standard errors: rows (n, p'), values (n,) and weights (n,).
-
-        With them, the torque of each joint with unknown kp has the size of the prior's, which counts more than its
-        error tells, by the weight.
-        """
+    def soft(self) -> _SoftConstraints:
+        """Measured constraints, and that the torque of each joint with unknown kp has the size of the prior's."""
         measured = self._equalities.soft_rows()
         rows = [*(measured[:, :-1] @ self._equalities.K)]
         values = measured[:, -1].tolist()
+        precision = _PRIOR_WEIGHT / _PRIOR_ERROR
         for j in self._with_unknown_kp:
-            rows.append(_PRIOR_WEIGHT / _PRIOR_ERROR * self._rows[j] / self._sizes[j])
-            values.append(_PRIOR_WEIGHT / _PRIOR_ERROR)
+            rows.append(precision * self._rows[j] / self._sizes[j])
+            values.append(precision)
         weights = np.concatenate([np.ones(len(measured)), np.full(len(self._with_unknown_kp), _PRIOR_WEIGHT)])
-        return np.array(rows).reshape(-1, len(self.prior)), np.array(values), weights
+        return _SoftConstraints(np.array(rows).reshape(-1, len(self.prior)), np.array(values), weights)
 
     def constrained(self, noise: Array) -> _Constrained:
         """The coefficients that satisfy the exact constraints, with the joints weighted by their noise, shape (nv,)."""
@@ -727,7 +782,7 @@ def _known_values_determine_scale(experiment: Experiment, joints: Sequence[int])
 
 def _prior_theta(experiment: Experiment, fixes_scale: bool) -> Array:
     """Coefficients of the prior, shape (p,); ConfigError if it fixes the scale with placeholders and no total mass."""
-    no_data = tuple(Factor(np.zeros((0, len(columns) + 1)), 0, 0) for columns in experiment.equation.active())
+    no_data = empty(experiment.equation.active())
     prior = prior_bodies(experiment.config, experiment.model, experiment.equation, no_data)
     if fixes_scale and prior.placeholders and experiment.config.known.total_mass is None:
         what = f"the logs tell gains only relative to masses, and the URDF's of {join_names(prior.placeholders)}"

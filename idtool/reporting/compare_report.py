@@ -47,6 +47,7 @@ def compare_report(a: StoredFit, b: StoredFit) -> ComparisonReport:
     parameters = compare_parameters(a.report, b.report)
     about = deciding(parameters)
     compared = [p for p in about if p.differs is not None]
+    in_both_models = [p for p in about if p.a is not None and p.b is not None]
     differing = [p for p in compared if p.differs]
     in_both = [name for name in a.report.joints if name in b.report.joints]
     only_in_a = [name for name in a.report.joints if name not in b.report.joints]
@@ -64,7 +65,7 @@ def compare_report(a: StoredFit, b: StoredFit) -> ComparisonReport:
         summary=summary,
         compared=len(compared),
         differing=len(differing),
-        not_compared=len(about) - len(compared),
+        not_compared=len(in_both_models) - len(compared),
         false_discoveries=FALSE_DISCOVERIES,
         p_limit=p_limit(parameters),
         detectable=sensitivity,
@@ -139,30 +140,50 @@ def _answer_text(
     """The answer as a sentence, with its figures."""
     if not compared:
         return "It cannot be told whether these are the same: no parameter is determined by the data of both."
-    parameters = f"{len(compared)} parameters that the data of both determine"
     if differing:
-        verb = "differs" if len(differing) == 1 else "differ"
-        largest = max(differing, key=_distance)
-        start = "Not the same"
-        if has_same_logs:
-            start = "Not the same model, though a log is part of both"
-        elif not is_same_robot:
-            start = "What they have in common is not the same"
-        text = f"{start}: {len(differing)} of {parameters} {verb} by more than chance"
-        common = _common_owners(differing, compared)
-        if common:
-            text += f", all of which involve {join_names(common)}"
-        return f"{text}; most clearly {parameter_name(largest)}: {_values_text(largest)}."
+        return _difference_text(compared, differing, has_same_logs, is_same_robot)
     if max(map(_distance, compared)) < _DUPLICATE:
         source = ", from the same logs" if has_same_logs else ""
-        return f"The same estimates{source}: all {parameters} are equal."
-    start = "The same, as far as the data tell"
+        return f"The same estimates{source}: all {_compared_text(compared)} are equal."
+    return _agreement_text(compared, sensitivity, is_same_robot)
+
+
+def _difference_text(
+    compared: Sequence[ComparedParameter],
+    differing: Sequence[ComparedParameter],
+    has_same_logs: bool,
+    is_same_robot: bool,
+) -> str:
+    """Sentence on what differs: how many parameters, what they have in common, and the clearest of them."""
+    verdict = "Not the same"
+    if has_same_logs:
+        verdict = "Not the same model, though a log is part of both"
+    elif not is_same_robot:
+        verdict = "What they have in common is not the same"
+    verb = "differs" if len(differing) == 1 else "differ"
+    owners = _common_owners(differing, compared)
+    common = f", all of which involve {join_names(owners)}" if owners else ""
+    clearest = max(differing, key=_distance)
+    return (
+        f"{verdict}: {len(differing)} of {_compared_text(compared)} {verb} by more than chance{common}; "
+        f"most clearly {parameter_name(clearest)}: {_values_text(clearest)}."
+    )
+
+
+def _agreement_text(compared: Sequence[ComparedParameter], sensitivity: float | None, is_same_robot: bool) -> str:
+    """Sentence on results that agree, and how large a difference could have been seen."""
+    verdict = "The same, as far as the data tell"
     if not is_same_robot:
-        start = "What they have in common is the same, as far as the data tell"
-    text = f"{start}: none of {parameters} differs by more than chance"
+        verdict = "What they have in common is the same, as far as the data tell"
+    visible = ""
     if sensitivity is not None:
-        text += f"; a difference of {percent(sensitivity)} in one of them would have an even chance to be seen"
-    return f"{text}."
+        visible = f"; a difference of {percent(sensitivity)} in one of them would have an even chance to be seen"
+    return f"{verdict}: none of {_compared_text(compared)} differs by more than chance{visible}."
+
+
+def _compared_text(compared: Sequence[ComparedParameter]) -> str:
+    """How many parameters the answer is about, in words."""
+    return f"{len(compared)} parameters that the data of both determine"
 
 
 def _distance(p: ComparedParameter) -> float:
@@ -222,7 +243,8 @@ def _notices(
             message = "it is a fleet: its friction is the mean of the robots"
             yield Notice("compared_fleet", "note", name, message)
     if a.report.base_parameters and b.report.base_parameters and a.report.joints == b.report.joints:
-        others = [p for p in about if p.a is None or p.b is None or p.reason.startswith(OTHER_COMBINATION)]
+        of_models = [p for p in about if p.kind != "controller"]  # a delay in one result alone says nothing of geometry
+        others = [p for p in of_models if p.a is None or p.b is None or p.reason.startswith(OTHER_COMBINATION)]
         if others:
             count = count_text(len(others), "parameter")
             message = f"the models differ in geometry or in their terms: {count} without counterpart"

@@ -12,8 +12,9 @@ limit, by the rate of false discoveries, that all other parameters are held agai
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.special import ndtri, stdtridf, stdtrit
@@ -34,6 +35,7 @@ _CLEARLY_NOT_ZERO = 3.0  # standard errors
 _MAX_NUMBER = 1e60  # beyond which squares of estimates, or of their ratios to errors, overflow
 _MAX_ITEMS = 100  # of a parameter that is a list
 
+InformationSource = Literal["data", "combination", "constraints", "prior"]
 Key = tuple[ParameterKind, str, str]
 
 
@@ -170,12 +172,23 @@ def _is_same_combination(a: Parameter, b: Parameter) -> bool:
 
 
 def _parameters(report: FitReport) -> dict[Key, Parameter]:
-    """All parameters of a result."""
+    """All parameters of a result; those with the same key, as of two end stops of a joint, are numbered."""
     factors = _ErrorFactors(report)
     parameters: dict[Key, Parameter] = {}
     for collect in (_base_parameters, _body_parameters, _friction, _rotors, _effects, _whole_robot, _controller):
-        parameters.update(collect(report, factors))
+        for key, parameter in collect(report, factors):
+            parameters[_numbered(key, parameters)] = parameter
     return parameters
+
+
+def _numbered(key: Key, taken: Container[Key]) -> Key:
+    """The key itself, or the first with a number behind the parameter's name that is not taken."""
+    kind, owner, what = key
+    number = 2
+    while key in taken:
+        key = (kind, owner, f"{what} ({number})")
+        number += 1
+    return key
 
 
 class _ErrorFactors:
@@ -185,30 +198,37 @@ class _ErrorFactors:
     ----------
     report
         The result; without a comparison of its logs, all factors are 1.
+
+    Attributes
+    ----------
+    overall
+        Factor of all base parameters together, rms.
+    of_base
+        Factor of each base parameter.
     """
 
     def __init__(self, report: FitReport) -> None:
-        ratios = []
-        if report.repeatability is not None:
-            ratios = [p.ratio for p in report.repeatability.parameters]
+        ratios = [p.ratio for p in report.repeatability.parameters] if report.repeatability else []
         known = [min(ratio, _MAX_NUMBER) for ratio in ratios if ratio is not None]
-        self.overall = _at_least_one(math.sqrt(np.square(known).mean())) if known else 1.0
+        self.overall = _error_factor(math.sqrt(np.square(known).mean())) if known else 1.0
         base = report.base_parameters.parameters if report.base_parameters else ()
         self.of_base = [self.overall] * len(base)
-        if len(ratios) == len(base):
-            self.of_base = [self.overall if ratio is None else _at_least_one(ratio) for ratio in ratios]
-        self._by_coefficient = {}
+        if len(ratios) == len(base):  # else they are of other combinations
+            self.of_base = [self.overall if ratio is None else _error_factor(ratio) for ratio in ratios]
+        self._by_coefficient: dict[tuple[str, str], float] = {}
         for parameter, factor in zip(base, self.of_base, strict=True):
             if len(parameter.terms) == 1:
-                self._by_coefficient[parameter.terms[0].of, parameter.terms[0].what] = factor
+                (term,) = parameter.terms
+                self._by_coefficient[term.of, term.what] = factor
 
     def of(self, owner: str, what: str) -> float:
         """The factor of a coefficient: that of the base parameter that it is, or else of all together."""
         return self._by_coefficient.get((owner, what), self.overall)
 
 
-def _at_least_one(ratio: float) -> float:
-    return min(max(ratio, 1.0), _MAX_NUMBER)
+def _error_factor(scatter_ratio: float) -> float:
+    """Factor of standard errors by a scatter ratio: never below 1, and never so large that squares overflow."""
+    return min(max(scatter_ratio, 1.0), _MAX_NUMBER)
 
 
 def _with_interval(
@@ -218,36 +238,33 @@ def _with_interval(
     error: float | None,
     interval: tuple[float, float] | None,
     factor: float,
-    rests_on: str | None = None,
+    rests_on: InformationSource | None = None,
     terms: Mapping[tuple[str, str], float] | None = None,
 ) -> Parameter:
-    """A parameter with its estimate from the data alone, from the interval that covers this and the value."""
+    """A parameter with its estimate from the data alone; without one if error or interval cannot be reckoned with."""
     estimate = None
     freedom = math.inf
     is_usable = all(abs(end) < _MAX_NUMBER for end in (value, *(interval or ())))
     if error is not None and interval is not None and _is_error(error) and is_usable:
-        low, high = interval
-        estimate = low + high - value
-        half_width = (high - low - abs(estimate - value)) / 2
-        freedom = _degrees_of_freedom(half_width / error)
+        estimate, margin = _estimate_and_margin(value, interval)
+        freedom = _degrees_of_freedom(margin / error)
         error *= factor
     else:
         error = interval = None
-    return Parameter(
-        name=name,
-        unit=unit,
-        value=ComparedValue.model_validate(
-            {
-                "value": value,
-                "estimate": estimate,
-                "standard_error": error,
-                "interval": interval,
-                "rests_on": rests_on,
-            }
-        ),
-        freedom=freedom,
-        terms=terms,
-    )
+    compared = ComparedValue(value=value, estimate=estimate, standard_error=error, interval=interval, rests_on=rests_on)
+    return Parameter(name=name, unit=unit, value=compared, freedom=freedom, terms=terms)
+
+
+def _estimate_and_margin(value: float, interval: tuple[float, float]) -> tuple[float, float]:
+    """Estimate from the data alone, and half the width of its own 95 % interval.
+
+    The reported interval reaches from the lower of value and estimate to the higher, and by the margin beyond both:
+    low + high = value + estimate, and high − low = |estimate − value| + 2 margin.
+    """
+    low, high = interval
+    estimate = low + high - value
+    margin = (high - low - abs(estimate - value)) / 2
+    return estimate, margin
 
 
 def _with_error(name: str, unit: str, value: float, error: float | None, freedom: float, factor: float) -> Parameter:
@@ -264,11 +281,11 @@ def _is_error(error: float) -> bool:
     return 1 / _MAX_NUMBER < error < _MAX_NUMBER
 
 
-def _degrees_of_freedom(half_width: float) -> float:
+def _degrees_of_freedom(margin_in_errors: float) -> float:
     """Degrees of freedom of a standard error, from half the width of the 95 % interval in standard errors."""
-    if half_width <= _NORMAL_HALF_WIDTH:
+    if margin_in_errors <= _NORMAL_HALF_WIDTH:
         return math.inf
-    freedom = float(stdtridf(_QUANTILE, half_width))
+    freedom = float(stdtridf(_QUANTILE, margin_in_errors))
     return max(freedom, 1.0) if math.isfinite(freedom) else math.inf
 
 

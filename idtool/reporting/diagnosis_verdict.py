@@ -12,7 +12,7 @@ motion      Torque only: rollouts are worse than those of the original model.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from idtool.common.notice import Notice
 from idtool.common.number_text import number
@@ -70,15 +70,24 @@ def _torque_reason(report: DiagnosisReport, of_model: VerdictReason) -> VerdictR
 
 def _motion_reasons(report: DiagnosisReport, of_model: VerdictReason) -> Iterator[VerdictReason]:
     """Reasons by the simulation: that of the fit, unless the original model is better, and steps that make it worse."""
+    level = of_model.level
     before, after = report.before.simulation, report.after.simulation
     if "overall" in report.rollout_worse and before and after:
+        level = "torque_only"
         unit = common_unit(position_units(report.units))
-        text = (
-            f"Do not simulate the model: it is {number(after['overall'])} {unit} RMS from the measured position, and "
-            f"the original model {number(before['overall'])} {unit}."
-        )
-        yield VerdictReason(about="motion", level="torque_only", figure=None, text=text)
+        yield VerdictReason(about="motion", level=level, figure=None, text=_worse_model_text(before, after, unit))
     else:
         yield of_model
     for sentence in worse_motion_sentences(report):
-        yield VerdictReason(about="motion", level=of_model.level, figure=None, text=sentence)
+        yield VerdictReason(about="motion", level=level, figure=None, text=sentence)
+
+
+def _worse_model_text(before: Mapping[str, float | None], after: Mapping[str, float | None], unit: str) -> str:
+    """Sentence on a model that simulates worse than the original one, by their position errors [rad or m]."""
+    original_error = f"{number(before['overall'])} {unit}"
+    if after["overall"] is None:  # not finite
+        return f"Do not simulate the model: it diverges, and the error of the original model is {original_error} RMS."
+    return (
+        f"Do not simulate the model: it is {number(after['overall'])} {unit} RMS from the measured position, and "
+        f"the original model {original_error}."
+    )

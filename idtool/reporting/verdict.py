@@ -64,14 +64,19 @@ def next_steps(reasons: Sequence[VerdictReason]) -> list[str]:
         return ["Use the model for control and simulation; `idtool export` writes it for MuJoCo or Drake."]
     if level == "torque_only":
         steps = ["Use the model for feedforward and gravity compensation, but not for simulation."]
-        is_inaccurate = any(reason.about == "motion" and reason.figure is not None for reason in reasons)
-        return [*steps, _SEARCH_STEP] if is_inaccurate else steps
+        predicts_motion_badly = any(
+            reason.about == "motion" and reason.level == "torque_only" and reason.figure is not None
+            for reason in reasons
+        )
+        return [*steps, _SEARCH_STEP] if predicts_motion_badly else steps
     if reasons[0].about == "data":
         return ["First correct the data, or describe them correctly in the configuration; then repeat the command."]
     refused = next(reason for reason in reasons if reason.level == level)
     if refused.about == "bodies":
         return ["Fit again with tighter constraints."]
-    return ["Fit again with another solver."] if refused.about == "data" else [_SEARCH_STEP]
+    if refused.about == "data":
+        return ["Fit again with another solver."]
+    return [_SEARCH_STEP]
 
 
 def torque_reason(
@@ -243,13 +248,20 @@ def bodies_reason(bodies: Mapping[str, BodyReport], notices: Collection[Notice])
         text = f"Masses or shapes are not plausible: {doubts[0]}."
         return VerdictReason(about="bodies", level="torque_only", figure=ratio, text=text)
     total = f"{number(mass)} kg ({number(urdf_mass)} kg in the URDF)"
-    text = f"All bodies are physically realizable. Their total mass is {total}"
-    name = max(bodies, key=lambda name: _mass_change(bodies[name]), default=None)
-    if name is not None:
-        before, after = number(_urdf_mass(bodies[name])), number(bodies[name].mass)
-        if before != after:
-            text += f"; the largest relative change is that of {name}, from {before} to {after} kg"
-    return VerdictReason(about="bodies", level="good", figure=ratio, text=f"{text}.")
+    text = f"All bodies are physically realizable. Their total mass is {total}{_largest_change_text(bodies)}."
+    return VerdictReason(about="bodies", level="good", figure=ratio, text=text)
+
+
+def _largest_change_text(bodies: Mapping[str, BodyReport]) -> str:
+    """Clause on the body whose mass has changed most; empty if the figures do not show it."""
+    if not bodies:
+        return ""
+    name, body = max(bodies.items(), key=lambda item: _mass_change(item[1]))
+    before = number(_urdf_mass(body))
+    after = number(body.mass)
+    if before == after:
+        return ""
+    return f"; the largest relative change is that of {name}, from {before} to {after} kg"
 
 
 def _urdf_mass(body: BodyReport) -> float:
@@ -259,9 +271,10 @@ def _urdf_mass(body: BodyReport) -> float:
 
 def _mass_change(body: BodyReport) -> float:
     """Change of a mass from that in the URDF, either way: absolute logarithm of the ratio; 0 without a mass there."""
-    if not _urdf_mass(body) > 0:
+    urdf_mass = _urdf_mass(body)
+    if not urdf_mass > 0:
         return 0.0
-    ratio = max(body.mass / _urdf_mass(body), _MIN_MASS_RATIO)
+    ratio = max(body.mass / urdf_mass, _MIN_MASS_RATIO)
     return abs(math.log(ratio))
 
 

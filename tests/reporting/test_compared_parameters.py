@@ -134,6 +134,26 @@ def test_a_result_is_equal_to_itself(report: Report) -> None:
     assert result.settings == ()
 
 
+def test_parameters_of_the_same_name_are_compared_each(report: Report) -> None:
+    """As the coefficients of two end stops of a joint."""
+    parameters = report["base_parameters"]["parameters"]
+    own = next(i for i, p in enumerate(parameters) if p["name"] == "hip coulomb")
+    other = next(i for i, p in enumerate(parameters) if p["name"] == "knee coulomb")
+    parameters[other]["terms"][0] = copy.deepcopy(parameters[own]["terms"][0])
+    assert compared(report, report).compared == len(parameters)
+    assert [compared(report, moved(report, i, 12)).differing for i in (own, other)] == [1, 1]
+
+
+def test_a_delay_in_one_result_alone_says_nothing_of_the_models(report: Report) -> None:
+    """A log with torque, and one with commands, of the same robot."""
+    controlled = copy.deepcopy(report)
+    delay = {"delay": 0.003, "given": None, "fitted": 0.003, "standard_error": 1e-4, "correlation": None, "text": None}
+    controlled["controller"] = {**delay, "known_friction_standard_error": None, "contradicted": None}
+    result = compared(report, controlled)
+    assert "combinations_differ" not in [notice.code for notice in result.notices]
+    assert result.not_compared == 0
+
+
 def test_what_differs_is_named(report: Report) -> None:
     names = [p["name"] for p in report["base_parameters"]["parameters"]]
     index = names.index("hip coulomb")

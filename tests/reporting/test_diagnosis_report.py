@@ -217,6 +217,9 @@ def test_rollouts_that_got_worse_while_torque_got_better(
     motion = [reason["text"] for reason in report["verdict_reasons"] if reason["about"] == "motion"]
     assert motion[0].startswith("Do not simulate the model") == bool(worse)
     assert (wanted in motion[-1]) == bool(worse)
+    assert ("it diverges" in motion[0]) == (bool(worse) and after == np.inf)
+    levels = {reason["level"] for reason in report["verdict_reasons"] if reason["about"] == "motion"}
+    assert not worse or levels == {"torque_only"}
 
 
 def motion(**errors: float) -> ErrorSummary:

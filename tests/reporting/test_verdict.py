@@ -124,6 +124,7 @@ def reason(about: str, level: str, figure: float | None = 1.0) -> VerdictReason:
     [
         ([reason("torque", "good"), reason("motion", "good")], ["Use the model for control and simulation"]),
         ([reason("torque", "good"), reason("motion", "torque_only", None)], ["Use the model for feedforward"]),
+        ([reason("torque", "torque_only"), reason("motion", "good")], ["Use the model for feedforward"]),
         ([reason("motion", "torque_only", 0.05)], ["Use the model for feedforward", "Find out what the model lacks"]),
         ([reason("torque", "do_not_use"), reason("motion", "torque_only")], ["Find out what the model lacks"]),
         ([reason("data", "do_not_use"), reason("torque", "do_not_use")], ["First correct the data"]),
