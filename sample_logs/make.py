@@ -1,10 +1,11 @@
-"""Simulate the sample logs: `python sample_logs/make.py` writes them, truth.yaml, hidden/ and pair/ beside this file.
+"""Simulate the sample logs: `python sample_logs/make.py` writes them, truth.yaml and the folders beside this file.
 
 Each robot's URDF and config hold what its designer believed. Here its true parameters are drawn, 10 to 30 % away, and
 its experiment is run in MuJoCo on a model built from them (two_mass.py). Nothing of idtool takes part but the writer
 of the files. The same seed gives the same numbers.
 
-The robots with hidden effects and the simulator pair are those of benchmarks/, which share no code with idtool either.
+The robots with hidden effects, the simulator pair and the quadruped are those of benchmarks/, which share no code with
+idtool either.
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ from idtool.data.logs import make_log, write_log
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "benchmarks"))
-from hidden_effects.case_files import write_case  # noqa: E402  # found from here on
+from ground.logs import Recording, config_text, record, write_csv  # noqa: E402  # found from here on
+from ground.robot import prior_robot, urdf_text  # noqa: E402
+from ground.robots import KINDS, TRUE_ROBOTS  # noqa: E402
+from hidden_effects.case_files import write_case  # noqa: E402
 from hidden_effects.case_list import list_cases  # noqa: E402
 from simulator_pair import write_pair  # noqa: E402
 
@@ -38,6 +42,9 @@ HIDDEN = {"parallel_spring": "spring", "payload": "payload"}  # effect hidden in
 AS_CSV = "leg_validate"  # the log that is also written as CSV
 BAND = 40.0  # Hz
 MODEL_ERROR = 0.1  # what the two-mass gears may add to the rigid model, as a part of the noise in the band
+
+# Decimals of the quadruped's channels, by the beginning of their names: a resolution below the noise, as sensors have.
+DECIMALS = {"tau_": 2, "t": 3, "q_": 5, "v_": 3, "imu_w": 4, "imu_a": 2, "imu_q": 5, "contact_": 0}
 
 TRUTH = """\
 # The parameters that the sample logs were simulated with. Written by make.py.
@@ -110,6 +117,29 @@ def make_hidden(effect: str, folder: Path) -> None:
     write_case(case, folder)
 
 
+def make_quadruped(folder: Path, seconds: float = 6.0) -> None:
+    """Simulate a quadruped that stands, walks and hangs, twice each; write its URDF, configuration, logs and truth."""
+    folder.mkdir(exist_ok=True)
+    truth = TRUE_ROBOTS["quadruped"](0)
+    (folder / "quadruped.urdf").write_text(urdf_text(prior_robot(truth, 0)))
+    (folder / "quadruped.yaml").write_text(config_text(truth, "unknown"))
+    (folder / "true.urdf").write_text(urdf_text(truth))
+    for kind in KINDS:
+        for seed, name in enumerate([kind, f"{kind}2"]):
+            write_csv(folder / f"{name}.csv", as_sensors_resolve(record(truth, kind, seconds, seed)))
+
+
+def as_sensors_resolve(recording: Recording) -> Recording:
+    """A recording without forces on the feet, its channels rounded to the resolution of sensors."""
+    columns = {}
+    for name, values in recording.columns.items():
+        for start, decimals in DECIMALS.items():
+            if name.startswith(start):
+                columns[name] = values.round(decimals) + 0.0  # no -0
+                break
+    return Recording(columns)
+
+
 def main() -> None:
     """Write all samples and truth.yaml."""
     print(f"{'log':20}{'samples':>8}{'peak N m':>12}{'peak rad/s':>12}{'noise N m':>12}{'model error':>12}")
@@ -119,6 +149,7 @@ def main() -> None:
     for effect, name in HIDDEN.items():
         make_hidden(effect, HERE / "hidden" / name)
     write_pair(HERE / "pair")
+    make_quadruped(HERE / "quadruped")
 
 
 if __name__ == "__main__":

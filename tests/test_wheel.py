@@ -13,7 +13,7 @@ import pytest
 from commands import FIT_FILES, SAMPLES, Result, files
 
 CHECKOUT = SAMPLES.parent
-MAX_WHEEL_SIZE = 8 << 20  # bytes
+MAX_WHEEL_SIZE = 12 << 20  # bytes
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,9 @@ def sample_command(
     name: Annotated[
         SampleName,
         typer.Argument(
-            help="leg, belt_arm: a robot and logs to fit and validate. hidden: a leg with a spring or a payload that "
-            "its model lacks. pair: an arm and its simulator.",
+            help="leg, belt_arm: a robot and logs to fit and validate. quadruped: a robot with an IMU that stands, "
+            "walks and hangs. hidden: a leg with a spring or a payload that its model lacks. pair: an arm and its "
+            "simulator.",
             metavar="NAME",
             show_default=False,
         ),

@@ -12,7 +12,7 @@ from idtool.common.exceptions import ConfigError
 FOLDER = "sample_logs"
 MANIFEST = "manifest.yaml"
 
-SampleName = Literal["leg", "belt_arm", "hidden", "pair"]
+SampleName = Literal["leg", "belt_arm", "quadruped", "hidden", "pair"]
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,10 @@ _SAMPLES: dict[SampleName, Sample] = {
     "pair": Sample(
         ("pair/*.*", "pair/*/*"),
         "idtool diagnose {}/pair/arm.urdf {}/pair/robot/run1.csv --against {}/pair/simulator",
+    ),
+    "quadruped": Sample(
+        ("quadruped/*",),
+        "idtool fit {}/quadruped/quadruped.urdf {}/quadruped/stand.csv {}/quadruped/walk.csv --quick",
     ),
 }
 

@@ -13,7 +13,7 @@ import idtool as package
 from idtool.common import samples
 from idtool.common.exceptions import ConfigError
 
-NAMES = ("leg", "belt_arm", "hidden", "pair")
+NAMES = ("leg", "belt_arm", "quadruped", "hidden", "pair")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -75,8 +75,8 @@ def test_a_file_in_the_place_of_a_folder_within_is_an_error(tmp_path: Path) -> N
 
 
 def test_an_unknown_sample_is_an_error_that_names_the_others(tmp_path: Path) -> None:
-    refuse(tmp_path, "sample", "arm", naming="'belt_arm', 'hidden', 'pair'")
-    with pytest.raises(ConfigError, match="leg, belt_arm, hidden, pair"):
+    refuse(tmp_path, "sample", "arm", naming="'belt_arm', 'quadruped', 'hidden', 'pair'")
+    with pytest.raises(ConfigError, match="leg, belt_arm, quadruped, hidden, pair"):
         package.sample("arm", tmp_path)  # type: ignore[arg-type]
 
 

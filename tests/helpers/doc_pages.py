@@ -31,7 +31,7 @@ PAGES = DOCS / "pages"
 README = CHECKOUT / "README.md"
 
 SLOW = ("idtool study", "idtool excite", "idtool diagnose", "python", "make demo")  # what takes more than some seconds
-_SLOW_WORDS = ("--track", "bag1", "--method iv", "idtool.diagnose(")
+_SLOW_WORDS = ("quadruped.urdf", "--track", "bag1", "--method iv", "idtool.diagnose(")
 _REAL_URDFS = ("panda.urdf", "go2.urdf")
 _REAL_FILES = (
     "panda/panda.urdf",
