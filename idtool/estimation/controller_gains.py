@@ -5,26 +5,28 @@ With kp and kd unknown, the torque equation is homogeneous in coefficients and g
     Y theta = kp (qcmd(t − d) − q) + kd (vcmd(t − d) − v).
 
 So the logs tell masses, friction and gains up to one common factor for each set of coupled joints, and the fit of all
-of them to zero is perfect. The factor comes from outside: from a joint of the set whose torque was logged or whose kp
-is given, or from known values that the motion determines, such as mass and centre of mass of one link. Known masses
-alone do not: the torque tells first moments, and a mass only together with the first moment of the link before it.
-Else the factor is that of the prior's bodies, which are the URDF's at the known masses: projected on their torque along
-the logs, b0' G b0, that of the fitted bodies has the same size, b0' G b = b0' G b0, with G = Y_b' Y_b in units of the
-joints' noise. This is a linear equation. If all masses of the prior are x % wrong, so are the gains.
+of them to zero is perfect. The factor comes from outside: from a joint of the set whose torque was logged or of which a
+gain is given, or from known values that the motion determines, such as mass and centre of mass of one link. Known
+masses alone do not: the torque tells first moments, and a mass only together with the first moment of the link before
+it. Else the prior gives the factor. Let b0 be its bodies, the URDF's at the known masses, and b the fitted ones. Their
+torques along the logs, Y_b b0 and Y_b b in units of the joints' noise, satisfy (Y_b b0) · (Y_b b) = |Y_b b0|², a linear
+equation in b. If all masses of the prior are x % wrong, so are the gains.
 
 A joint's residual is mostly noise of its position times kp. So E = qcmd − q is the noisy variable that is predicted,
 and not a regressor: with its measured values as a column, kp would shrink to zero wherever the other joints hardly tell
 its scale. That is the maximum-likelihood estimate of theta, gains and delay under the residual of E. Gauss-Newton steps
 on the R-factors find it, with the delay on the polynomial of `command_delay`; the fit that follows determines the delay
-again. Where joints hardly tell their scales from each other, the prior tells the size of each one's torque.
+again. For each joint with unknown kp, the same equation holds softly, with a standard error: it matters where the
+motion hardly tells the scales of joints from each other.
 
 Standard errors are those of blocks of time for a given factor; they take account of coefficients and delay.
 
-Without a moving vcmd, the column of kd is that of viscous friction: kd is then fitted only where the model has none.
+Without a moving vcmd, the column of kd is that of viscous friction, and much like that of the delay: kd is then fitted
+only where the model has no viscous friction of the joint and the delay is given.
 
-Letters: E = qcmd(t − d) − q, which kp multiplies; p coefficients theta = K z, p' of them free (z); Y their columns, b
-those of bodies; y the coefficients in a basis N of all z that satisfy the exact constraints, z = z0 + N y. In shapes, K
-is the number of delays and G that of unknown gains.
+Letters: E = qcmd(t − d) − q, which kp multiplies; theta = K z, the coefficients by the n_z free ones; Y their columns,
+Y_b those of bodies; y the coefficients in a basis N of all z that satisfy the exact constraints, z = z0 + N y. In
+shapes, n_d is the number of delays, n_g that of unknown gains and r that of a factor's rows; ' is a transpose.
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ from idtool.robot.inertia import PI_SIZE
 GainName = Literal["kp", "kd"]
 ScaleSource = Literal["logged_torque", "given_gain", "known_values", "prior"]
 
-_SCALES: Mapping[ScaleSource, str] = {
+_SOURCE_TEXTS: Mapping[ScaleSource, str] = {
     "logged_torque": "the logged torque of other joints",
     "given_gain": "the gains that are given",
     "known_values": "the known values of the configuration",
@@ -70,17 +72,18 @@ _SCALES: Mapping[ScaleSource, str] = {
 
 _UNIT_GAINS: Mapping[GainName, tuple[float, float]] = {"kp": (1.0, 0.0), "kd": (0.0, 1.0)}  # kp and kd
 _MOST_STEPS = 50
-_CONVERGED = 1e-4  # relative change of all gains in a step
-_MOST_KP_RATIO = 2.0  # of a kp to that before the step
+_GAIN_TOLERANCE = 1e-4  # relative change of gains in a step below which the fit has converged
+_MOST_KP_RATIO = 2.0  # by which a step may multiply or divide a kp
 _PRIOR_ERROR = 0.3  # relative standard error of the torque that the prior's bodies exert on a joint
-# Divides _PRIOR_ERROR in the fit, but not in the standard errors: what a real robot's model leaves is no noise, and
-# logs tell less than they seem.
+# The fit trusts the prior's torque by this factor more than _PRIOR_ERROR says: what a real robot's model leaves is no
+# noise but model error, so that the logs count too much. Standard errors use _PRIOR_ERROR itself.
 _PRIOR_WEIGHT = 3.0
 _LEAST_NOISE = 1e-4  # of a joint's torque
-_TINY = 1e-12
-_CLUSTERS = 2 * FEWEST_CLUSTERS
-_LEAST_INFORMATION = 1e-6  # of a constraint: less of it that the motion determines is rounding
-_LEAST_REST = 1e-3  # of a gain's column: less that no other column explains is rounding
+_LEAST_RESIDUAL = 1e-12  # norm of a residual, against division by 0 and log(0)
+_DELAY_SLACK = 1e-12  # s; the bounds of a given delay must differ
+_TARGET_CLUSTERS = 2 * FEWEST_CLUSTERS
+_ROUNDING = 1e-6  # relative: smaller parts of known values, and smaller singular values, are rounding
+_LEAST_UNEXPLAINED = 1e-3  # share of a gain's column that the others must leave unexplained; less is rounding
 _UNCERTAIN = 0.1  # relative standard error from which a gain is reported
 
 
@@ -92,20 +95,20 @@ class ControllerGains:
     ----------
     kp, kd
         Fitted gains with their standard errors for a given scale, by joint [N·m/rad, N·m·s/rad].
-    scales
+    scale_sources
         What fixed the scale, by joint.
-    includes_friction
+    joints_with_friction_in_kd
         Joints whose kd includes viscous friction.
     is_total_mass_known
         True if the prior has a total mass that was measured.
     has_converged
-        False if the last step still changed a gain.
+        False if the last step still changed a gain by more than the tolerance.
     """
 
     kp: Mapping[str, UncertainValue]
     kd: Mapping[str, UncertainValue]
-    scales: Mapping[str, ScaleSource]
-    includes_friction: tuple[str, ...]
+    scale_sources: Mapping[str, ScaleSource]
+    joints_with_friction_in_kd: tuple[str, ...]
     is_total_mass_known: bool
     has_converged: bool
 
@@ -117,14 +120,14 @@ class ControllerGains:
             if gains:
                 values = ", ".join(f"{joint} {_gain_text(value)}" for joint, value in gains.items())
                 parts.append(f"{name}: {values}")
-        sources = join_names(list(dict.fromkeys(_SCALES[source] for source in self.scales.values())))
+        sources = join_names(list(dict.fromkeys(_SOURCE_TEXTS[source] for source in self.scale_sources.values())))
         return f"{'; '.join(parts)} (fitted, for the scale of {sources})"
 
     @property
     def notices(self) -> tuple[Notice, ...]:
         """Notices about the source of the scale, and gains that are undetermined or not those of the controller."""
         notices = []
-        if by_prior := [joint for joint, source in self.scales.items() if source == "prior"]:
+        if by_prior := [joint for joint, source in self.scale_sources.items() if source == "prior"]:
             message = (
                 "the logs determine the gains only relative to the masses, so their scale comes from the masses of the "
                 f"prior: if all masses are 10 % wrong, so are the gains: {join_names(by_prior)}"
@@ -146,8 +149,10 @@ class ControllerGains:
             message = f"the gains still change after {_MOST_STEPS} steps: the logs hardly tell them"
             advice = "give one kp, or controller.delay if it is auto"
             notices.append(Notice("controller_gains_not_converged", "warning", "controller", message, advice))
-        if self.includes_friction:
-            message = f"without a moving vcmd, kd includes viscous friction: {join_names(self.includes_friction)}"
+        if self.joints_with_friction_in_kd:
+            message = (
+                f"without a moving vcmd, kd includes viscous friction: {join_names(self.joints_with_friction_in_kd)}"
+            )
             notices.append(Notice("controller_gain_with_friction", "note", "controller.kd", message))
         return tuple(notices)
 
@@ -181,25 +186,30 @@ def with_gains(experiment: Experiment, progress: Progress) -> tuple[Experiment, 
     if controller is None or not gains:
         return experiment, None
     _check_model(experiment, gains)
-    includes_friction = _joints_with_friction_in_kd(experiment, gains)
+    joints_with_friction = _checked_joints_with_friction_in_kd(experiment, gains)
     fit = _GainFit(experiment, gains, progress)
     fitted: dict[GainName, dict[str, UncertainValue]] = {"kp": {}, "kd": {}}
-    for gain, value, error in zip(gains, fit.values.tolist(), fit.standard_errors.tolist(), strict=True):
+    for gain, value, error in zip(gains, fit.gain_values.tolist(), fit.standard_errors.tolist(), strict=True):
         fitted[gain.name][gain.joint] = UncertainValue(value=value, standard_error=error)
-    known = _with_numbers(controller, experiment.equation.joints, fitted)
-    config = experiment.config.model_copy(update={"controller": known})
+    completed = _with_fitted_gains(controller, experiment.equation.joints, fitted)
+    config = experiment.config.model_copy(update={"controller": completed})
     runs = []
     for run in experiment.runs:
         signals = run.signals
-        joint_controller = JointController.from_log(signals.log, signals.joints, known)
+        joint_controller = JointController.from_log(signals.log, signals.joints, completed)
         runs.append(replace(run, signals=signals.with_controller(joint_controller)))
-    scales = {gain.joint: fit.scale.sources[gain.index] for gain in gains}
-    is_weighed = config.known.total_mass is not None
-    result = ControllerGains(fitted["kp"], fitted["kd"], scales, includes_friction, is_weighed, fit.has_converged)
+    result = ControllerGains(
+        kp=fitted["kp"],
+        kd=fitted["kd"],
+        scale_sources={gain.joint: fit.constraints.sources[gain.joint_index] for gain in gains},
+        joints_with_friction_in_kd=joints_with_friction,
+        is_total_mass_known=config.known.total_mass is not None,
+        has_converged=fit.has_converged,
+    )
     return replace(experiment, config=config, runs=tuple(runs)), result
 
 
-def _with_numbers(
+def _with_fitted_gains(
     controller: Controller, joints: Sequence[str], fitted: Mapping[GainName, Mapping[str, UncertainValue]]
 ) -> Controller:
     """The controller with fitted gains; joints whose gains are still unknown have none: their torque was logged."""
@@ -210,35 +220,36 @@ def _with_numbers(
             own_kp = fitted["kp"][joint].value
         if joint in fitted["kd"]:
             own_kd = fitted["kd"][joint].value
+        # None: not given; NaN: to be fitted, but no log lacks the joint's torque.
         if own_kp is not None and np.isfinite(own_kp + own_kd):
             kp[joint], kd[joint] = own_kp, own_kd
     return controller.model_copy(update={"kp": kp, "kd": kd})
 
 
 @dataclass(frozen=True)
-class _Gain:
-    """One unknown gain of a joint, whose row of the torque equation has the index."""
+class _UnknownGain:
+    """A gain that is to be fitted: its name, and its joint by name and by index in the torque equation."""
 
     name: GainName
     joint: str
-    index: int
+    joint_index: int
 
 
-def _unknown_gains(experiment: Experiment) -> Iterator[_Gain]:
-    """The gains that are to be fitted, joint by joint."""
+def _unknown_gains(experiment: Experiment) -> Iterator[_UnknownGain]:
+    """The gains that are to be fitted, joint by joint: NaN in the controllers, whose gains are alike in all logs."""
     controllers = [run.signals.controller for run in experiment.runs if run.train]
-    for index in range(experiment.model.joint_count):
-        commanded = [controller for controller in controllers if controller.joints[index]]
-        if not commanded:
+    for j in range(experiment.model.joint_count):
+        driving = [controller for controller in controllers if controller.joints[j]]  # of logs without its torque
+        if not driving:
             continue
-        joint = experiment.equation.joints[index]
-        if np.isnan(commanded[0].kp[index, 0]):
-            yield _Gain("kp", joint, index)
-        if np.isnan(commanded[0].kd[index, 0]):
-            yield _Gain("kd", joint, index)
+        joint = experiment.equation.joints[j]
+        if np.isnan(driving[0].kp[j, 0]):
+            yield _UnknownGain("kp", joint, j)
+        if np.isnan(driving[0].kd[j, 0]):
+            yield _UnknownGain("kd", joint, j)
 
 
-def _check_model(experiment: Experiment, gains: Sequence[_Gain]) -> None:
+def _check_model(experiment: Experiment, gains: Sequence[_UnknownGain]) -> None:
     """Refuse a model with which gains are not fitted; ConfigError."""
     key = f"controller.{gains[0].name}"
     equation = experiment.equation
@@ -249,7 +260,7 @@ def _check_model(experiment: Experiment, gains: Sequence[_Gain]) -> None:
         raise ConfigError(key, f"{what}; give a number, or remove these effects")
 
 
-def _joints_with_friction_in_kd(experiment: Experiment, gains: Sequence[_Gain]) -> tuple[str, ...]:
+def _checked_joints_with_friction_in_kd(experiment: Experiment, gains: Sequence[_UnknownGain]) -> tuple[str, ...]:
     """Joints without a moving velocity command, whose kd includes viscous friction.
 
     Raises
@@ -284,74 +295,86 @@ def _velocity_command_moves(experiment: Experiment, joint: str) -> bool:
     return False
 
 
-def _torque_columns(equation: LinearModel, run: Run, gains: Sequence[_Gain], lags: DelayPolynomial) -> Rows:
-    """Columns of the torque equation, those of the joint's gains and its known torque, both at each of the delays."""
-    given = run.signals.controller
-    signals = run.signals.with_controller(given.with_unknown_gains(0.0, 0.0))
-    parts = signals.delayed_ranges(max(lags.delays), run.train)
-    names = {gain.name for gain in gains}
-    unit_controllers = {name: _unit_controller(given, *_UNIT_GAINS[name]) for name in names}
+def _columns_of_joints(
+    equation: LinearModel, run: Run, gains: Sequence[_UnknownGain], delay_polynomial: DelayPolynomial
+) -> Rows:
+    """Each joint's filtered columns, which `_GainFit._joint_factors` splits.
+
+    In this order: its coefficients; for each of its unknown gains, the torque of a gain of 1 at each delay; the known
+    torque, as logged or of given gains, at each delay.
+    """
+    controller = run.signals.controller
+    signals = run.signals.with_controller(controller.with_unknown_gains(0.0, 0.0))  # its torque is the known one
+    delays = delay_polynomial.delays
+    ranges = signals.delayed_ranges(max(delays), run.train)
+    gain_names = {gain.name for gain in gains}
+    unit_controllers = {name: _with_uniform_gains(controller, *_UNIT_GAINS[name]) for name in gain_names}
 
     def rows_of(batch: Batch, span: BatchSpan) -> tuple[list[Array], list[Mask]]:
         columns, kept = equation.filtered_rows(batch)
-        known_torques = batch.filter(equation.delayed_torques(batch.motion))  # (K, nv, n)
-        samples = slice(span.start - span.before, span.stop + span.after)
-        unit_torques: dict[GainName, Array] = {}  # (K, nv, n) each
-        for name, controller in unit_controllers.items():
-            unit_torques[name] = batch.filter(signals.controller_torques(controller, samples, lags.delays))
-        rows = []
+        known_torques = batch.filter(equation.delayed_torques(batch.motion))  # (n_d, nv, n)
+        samples = slice(span.start - span.before, span.stop + span.after)  # with those that the filter needs
+        unit_torques: dict[GainName, Array] = {}  # (n_d, nv, n) each
+        for name, unit_controller in unit_controllers.items():
+            unit_torques[name] = batch.filter(signals.controller_torques(unit_controller, samples, delays))
+        columns_of_joints = []
         for j, own_columns in enumerate(columns):
             of_coefficients = own_columns[:-1]  # without the torque, which follows for each delay
-            of_gains = [unit_torques[gain.name][:, j] for gain in gains if gain.index == j]
-            rows.append(np.concatenate([of_coefficients, *of_gains, known_torques[:, j]]))
-        return rows, kept
+            of_gains = [unit_torques[gain.name][:, j] for gain in gains if gain.joint_index == j]
+            columns_of_joints.append(np.concatenate([of_coefficients, *of_gains, known_torques[:, j]]))
+        return columns_of_joints, kept
 
-    return signals.batches(parts, delays=lags.delays).map_with_span(rows_of)
+    return signals.batches(ranges, delays=delays).map_with_span(rows_of)
 
 
-def _unit_controller(controller: JointController, kp: float, kd: float) -> JointController:
+def _with_uniform_gains(controller: JointController, kp: float, kd: float) -> JointController:
     """The controller with gains alike for all joints that it drives."""
     driven = np.where(controller.joints, 1.0, 0.0)[:, None]
     return replace(controller, kp=np.asarray(kp * driven), kd=np.asarray(kd * driven))
 
 
 @dataclass(frozen=True)
-class _JointRows:
-    """One joint's rows, as of a triangular factor.
+class _JointFactor:
+    """One joint's triangular factor, split by its columns.
 
     Attributes
     ----------
     Y
-        Columns of all free coefficients, shape (rows, p').
+        Columns of all free coefficients, shape (r, n_z).
     unit_torques
         Of each of the joint's unknown gains, the torque that it would exert if it were 1, at each delay,
-        shape (rows, K).
-    known
-        Torque of known gains, or as logged, at each delay, shape (rows, K).
-    count
-        Number of samples.
+        shape (r, n_d).
+    known_torques
+        Torque of known gains, or as logged, at each delay, shape (r, n_d).
+    sample_count
+        Number of samples behind the factor.
     """
 
     Y: Array
-    unit_torques: Mapping[_Gain, Array]
-    known: Array
-    count: float
+    unit_torques: Mapping[_UnknownGain, Array]
+    known_torques: Array
+    sample_count: float
 
-    def unit_torque(self, name: GainName, weights: Array) -> Array | None:
-        """Torque of a gain of 1 between the delays, shape (rows,); None if the gain is not an unknown one."""
+    def unit_torque(self, name: GainName, delay_weights: Array) -> Array | None:
+        """Torque of a gain of 1, interpolated to a delay, shape (r,): qcmd − q or vcmd − v; None for a known gain."""
         for gain, torques in self.unit_torques.items():
             if gain.name == name:
-                return np.asarray(torques @ weights)
+                return np.asarray(torques @ delay_weights)
         return None
 
-    def residual_alone(self, weights: Array) -> float:
-        """Norm of what coefficients of this joint alone leave of qcmd − q or, with known kp, of the torque."""
-        position, velocity = self.unit_torque("kp", weights), self.unit_torque("kd", weights)
-        columns = [self.Y] if velocity is None else [self.Y, velocity]
-        target = self.known @ weights
-        if position is not None:
-            columns.append(target)
-            target = position
+    def residual_alone(self, delay_weights: Array) -> float:
+        """Norm of what this joint's own columns leave of qcmd − q or, with known kp, of the known torque."""
+        position_error = self.unit_torque("kp", delay_weights)
+        velocity_error = self.unit_torque("kd", delay_weights)
+        known_torque = self.known_torques @ delay_weights
+        columns = [self.Y]
+        if velocity_error is not None:
+            columns.append(velocity_error)
+        if position_error is None:
+            target = known_torque
+        else:
+            target = position_error
+            columns.append(known_torque)  # its factor is 1 / kp
         return float(np.linalg.norm(projected_out(target[:, None], np.column_stack(columns))))
 
 
@@ -362,20 +385,20 @@ class _Estimate:
     Attributes
     ----------
     z
-        Free coefficients, shape (p',).
+        Free coefficients, shape (n_z,).
     gains
-        The G gains in their order.
+        The unknown gains in their order.
     delay
         [s].
     """
 
     z: Array
-    gains: Mapping[_Gain, float]
+    gains: Mapping[_UnknownGain, float]
     delay: float
 
     @property
-    def values(self) -> Array:
-        """The gains, shape (G,)."""
+    def gain_values(self) -> Array:
+        """The gains, shape (n_g,)."""
         return np.array(list(self.gains.values()))
 
 
@@ -385,11 +408,12 @@ class _Linearization(NamedTuple):
     Attributes
     ----------
     columns
-        Derivatives of the controller's torque with respect to gains and delay, shape (rows, G + 1).
+        What multiplies gains and delay, shape (r, n_g + 1). Of kd and delay, the derivative of the controller's torque;
+        of kp, the predicted E, which is the measured one plus residual / kp.
     right
-        What does not depend on them, shape (rows,).
+        What does not depend on gains and delay, shape (r,).
     residual
-        Y z minus the controller's torque at the estimate, shape (rows,).
+        Y z minus the controller's torque at the estimate, shape (r,).
     """
 
     columns: Array
@@ -402,212 +426,253 @@ class _GainFit:
 
     Attributes
     ----------
-    values, standard_errors
-        The gains, and their standard errors for a given scale, shape (G,).
-    scale
-        What fixed the scale.
+    gain_values, standard_errors
+        The gains, and their standard errors for a given scale, shape (n_g,).
+    constraints
+        The constraints of the coefficients, and what fixed the scale.
     has_converged
-        False if the last step still changed a gain.
+        False if the last step still changed a gain by more than the tolerance.
     """
 
-    def __init__(self, experiment: Experiment, gains: Sequence[_Gain], progress: Progress) -> None:
+    def __init__(self, experiment: Experiment, gains: Sequence[_UnknownGain], progress: Progress) -> None:
         self._equation, self._equalities, self._gains = experiment.equation, experiment.equalities, gains
         controller = experiment.config.controller
-        given = controller.known_delay if controller else None
-        self._lags = DelayPolynomial(experiment.band_hz, given.value if given else None)
+        given_delay = controller.known_delay if controller else None
+        self._delays = DelayPolynomial(experiment.band_hz, given_delay.value if given_delay else None)
         data = experiment.blocks(
-            lambda run: _torque_columns(experiment.equation, run, gains, self._lags),
+            lambda run: _columns_of_joints(experiment.equation, run, gains, self._delays),
             progress,
             "fitting the controller gains to",
         )
         total = merge_reductions([log.total for log in data])
         self._samples_per_independent = sum(f.rows for f in total) / sum(f.independent for f in total)
-        rows = self._joint_rows(total)
-        self.scale = _Scale(experiment, gains, [joint.Y for joint in rows])
-        estimate = self._initial(rows)
+        joints = self._joint_factors(total)
+        self.constraints = _Constraints(experiment, gains, [joint.Y for joint in joints])
+        estimate = self._initial_estimate(joints)
         self.has_converged = False
         for _ in range(_MOST_STEPS):
             previous = estimate
-            estimate = self._step(rows, previous)
-            if np.allclose(estimate.values, previous.values, rtol=_CONVERGED, atol=0):
+            estimate = self._next_estimate(joints, previous)
+            if np.allclose(estimate.gain_values, previous.gain_values, rtol=_GAIN_TOLERANCE, atol=0):
                 self.has_converged = True
                 break
-        self.values = estimate.values
-        self.standard_errors = self._errors(data, total, estimate)
+        self.gain_values = estimate.gain_values
+        self.standard_errors = self._standard_errors(data, total, estimate)
 
-    def _joint_rows(self, data: Reduction) -> list[_JointRows]:
-        """The rows of each joint."""
+    def _joint_factors(self, data: Reduction) -> list[_JointFactor]:
+        """The factor of each joint, split by columns as `_columns_of_joints` has them."""
         joints = []
         for j, (factor, columns) in enumerate(zip(data, self._equation.active(), strict=True)):
             Y = factor.R[:, : len(columns)] @ self._equalities.K[columns]
-            own = [gain for gain in self._gains if gain.index == j]
-            *unit_torques, known = np.split(factor.R[:, len(columns) :], len(own) + 1, axis=1)
-            joints.append(_JointRows(Y, dict(zip(own, unit_torques, strict=True)), known, factor.rows))
+            own = [gain for gain in self._gains if gain.joint_index == j]
+            *unit_torques, known_torques = np.split(factor.R[:, len(columns) :], len(own) + 1, axis=1)
+            joints.append(_JointFactor(Y, dict(zip(own, unit_torques, strict=True)), known_torques, factor.rows))
         return joints
 
-    def _initial(self, rows: Sequence[_JointRows]) -> _Estimate:
-        """The delay with the least residuals of the joints alone, and gains and friction with the prior's bodies."""
-        delay = self._lags.delays[0]
-        if len(self._lags.delays) > 1:
-            delay = minimizing_delay(lambda d: _cost_of_joints_alone(rows, self._lags.weights(d)))
-        weights = self._lags.weights(delay)
-        z = self.scale.prior.copy()
-        gains: dict[_Gain, float] = {}
-        for joint in rows:
-            own = np.flatnonzero(self.scale.is_other & joint.Y.any(axis=0))
-            values, own_z = self._initial_of_joint(joint, own, weights)
-            z[own] = np.maximum(own_z, self.scale.lower[own])
+    def _initial_estimate(self, joints: Sequence[_JointFactor]) -> _Estimate:
+        """The delay with the least residuals of the joints alone, and gains and friction for the prior's bodies."""
+        delay = self._delays.delays[0]
+        if len(self._delays.delays) > 1:
+            delay = minimizing_delay(lambda d: _cost_of_joints_alone(joints, self._delays.weights(d)))
+        delay_weights = self._delays.weights(delay)
+        z = self.constraints.prior_z.copy()
+        gains: dict[_UnknownGain, float] = {}
+        for joint in joints:
+            own = np.flatnonzero(self.constraints.is_not_of_body & joint.Y.any(axis=0))
+            values, own_z = self._initial_gains_and_friction(joint, own, delay_weights)
+            z[own] = np.maximum(own_z, self.constraints.lower[own])
             gains |= {gain: values[gain.name] for gain in joint.unit_torques}
         return _Estimate(z, gains, delay)
 
-    def _initial_of_joint(self, joint: _JointRows, own: Indices, weights: Array) -> tuple[dict[GainName, float], Array]:
-        """Gains and coefficients that are not of bodies, those of the indices, with the prior's bodies."""
-        torque, known = joint.Y @ self.scale.prior, joint.known @ weights
-        position, velocity = joint.unit_torque("kp", weights), joint.unit_torque("kd", weights)
-        columns = [joint.Y[:, own]] if velocity is None else [joint.Y[:, own], -velocity]
-        kp = 0.0
-        if position is None:
-            x, _ = scaled_least_squares(np.column_stack(columns), known - torque)
+    def _initial_gains_and_friction(
+        self, joint: _JointFactor, own: Indices, delay_weights: Array
+    ) -> tuple[dict[GainName, float], Array]:
+        """Unknown gains of a joint, and its own coefficients by index, for the prior's bodies."""
+        body_torque = joint.Y @ self.constraints.prior_z
+        known_torque = joint.known_torques @ delay_weights
+        position_error = joint.unit_torque("kp", delay_weights)
+        velocity_error = joint.unit_torque("kd", delay_weights)
+        columns = [joint.Y[:, own]]
+        if velocity_error is not None:
+            columns.append(-velocity_error)
+        gains: dict[GainName, float] = {}
+        if position_error is None:
+            # Y z − kd (vcmd − v) = known torque − body torque
+            x, _ = scaled_least_squares(np.column_stack(columns), known_torque - body_torque)
         else:
-            if not position.any():
+            if not position_error.any():
                 what = "the position follows its command exactly, so that nothing tells the gain"
                 raise ConfigError("controller.kp", f"{what}; log the command and the motion that it causes")
-            relative, _ = scaled_least_squares(np.column_stack([torque - known, *columns]), position)
-            is_positive = relative[0] > 0
-            kp = 1 / relative[0] if is_positive else float(np.linalg.norm(torque) / np.linalg.norm(position))
-            x = kp * relative[1:]
-        kd = 0.0 if velocity is None else max(float(x[-1]), 0.0)
-        return {"kp": float(kp), "kd": kd}, x[: len(own)]
+            # (body torque − known torque) / kp + Y z / kp − (kd / kp) (vcmd − v) = qcmd − q
+            A = np.column_stack([body_torque - known_torque, *columns])
+            over_kp, _ = scaled_least_squares(A, position_error)
+            if over_kp[0] > 0:
+                kp = float(1 / over_kp[0])
+            else:
+                kp = float(np.linalg.norm(body_torque) / np.linalg.norm(position_error))
+            gains["kp"] = kp
+            x = kp * over_kp[1:]
+        if velocity_error is not None:
+            gains["kd"] = max(float(x[-1]), 0.0)
+        return gains, x[: len(own)]
 
-    def _linearized(self, joint: _JointRows, estimate: _Estimate) -> _Linearization:
+    def _linearized(self, joint: _JointFactor, estimate: _Estimate) -> _Linearization:
         """A joint's torque equation about an estimate; qcmd − q is predicted, see the module."""
-        weights, slopes = self._lags.weights(estimate.delay), self._lags.slopes(estimate.delay)
-        known = joint.known @ weights
-        delay_slope = joint.known @ slopes  # d torque / d delay
-        residual = joint.Y @ estimate.z - known
+        delay_weights, delay_slopes = self._delays.weights(estimate.delay), self._delays.slopes(estimate.delay)
+        own = [(i, gain, value) for i, (gain, value) in enumerate(estimate.gains.items()) if gain in joint.unit_torques]
+        known_torque = joint.known_torques @ delay_weights
+        residual = joint.Y @ estimate.z - known_torque
+        torque_slope = joint.known_torques @ delay_slopes  # d torque / d delay
         columns = np.zeros((len(joint.Y), len(self._gains) + 1))
-        own = [(i, *item) for i, item in enumerate(estimate.gains.items()) if item[0] in joint.unit_torques]
         for i, gain, value in own:
-            columns[:, i] = joint.unit_torques[gain] @ weights
+            columns[:, i] = joint.unit_torques[gain] @ delay_weights
             residual = residual - value * columns[:, i]
-            delay_slope = delay_slope + value * (joint.unit_torques[gain] @ slopes)
-        right = known - delay_slope * estimate.delay
+            torque_slope = torque_slope + value * (joint.unit_torques[gain] @ delay_slopes)
+        columns[:, -1] = torque_slope
+
+        right = known_torque - torque_slope * estimate.delay
         for i, gain, value in own:
             if gain.name == "kp":
-                columns[:, i] += residual / value  # qcmd − q as it is predicted
+                # kp · predicted E = kp · E + residual. What this adds at the estimate is taken from the right side, so
+                # that the equation has the same residual there.
+                columns[:, i] += residual / value
                 right = right - residual
-        columns[:, -1] = delay_slope
         return _Linearization(columns, right, residual)
 
-    def _noise(self, rows: Sequence[_JointRows], estimate: _Estimate) -> Array:
+    def _noise(self, joints: Sequence[_JointFactor], estimate: _Estimate) -> Array:
         """Rms residual of each joint, shape (nv,) [N·m or N]."""
         noise = []
-        for joint in rows:
+        for joint in joints:
             residual = float(np.linalg.norm(self._linearized(joint, estimate).residual))
             torque = float(np.linalg.norm(joint.Y @ estimate.z))
-            noise.append(max(residual, _LEAST_NOISE * torque, _TINY) / np.sqrt(max(joint.count, 1.0)))
+            largest = max(residual, _LEAST_NOISE * torque, _LEAST_RESIDUAL)
+            noise.append(largest / np.sqrt(max(joint.sample_count, 1.0)))
         return np.array(noise)
 
     def _system(
-        self, rows: Sequence[_JointRows], estimate: _Estimate, noise: Array, with_soft: bool
+        self, joints: Sequence[_JointFactor], estimate: _Estimate, noise: Array, with_soft: bool
     ) -> tuple[Array, Array, Array, Array]:
-        """Rows of all joints in units of their noise: Y over z, columns, right side and residual of `_linearized`."""
+        """Y over z, columns, right side and residual of `_linearized`: rows of all joints in units of their noise.
+
+        Soft constraints are rows with columns of 0.
+        """
         parts = []
-        for joint, sigma in zip(rows, noise, strict=True):
+        for joint, sigma in zip(joints, noise, strict=True):
             parts.append((joint.Y / sigma, *(part / sigma for part in self._linearized(joint, estimate))))
         if with_soft:
-            soft = self.scale.soft()
-            soft_rows = np.sqrt(self._samples_per_independent) * soft.rows
-            values = np.sqrt(self._samples_per_independent) * soft.values
+            # Correlated samples count as often as there are, so a soft row counts as often as an independent one.
+            soft = self.constraints.soft()
+            count = np.sqrt(self._samples_per_independent)
+            soft_rows, values = count * soft.rows, count * soft.values
             no_gains = np.zeros((len(values), len(self._gains) + 1))
             parts.append((soft_rows, no_gains, values, soft_rows @ estimate.z - values))
         Y, columns, right, residual = (np.concatenate(part) for part in zip(*parts, strict=True))
         return Y, columns, right, residual
 
-    def _step(self, rows: Sequence[_JointRows], estimate: _Estimate) -> _Estimate:
+    def _next_estimate(self, joints: Sequence[_JointFactor], estimate: _Estimate) -> _Estimate:
         """The next estimate by a Gauss-Newton step within bounds."""
-        noise = self._noise(rows, estimate)
-        Y, columns, right, _ = self._system(rows, estimate, noise, with_soft=True)
-        constrained = self.scale.constrained(noise)
-        right = right - Y @ constrained.z0
-        Y = Y @ constrained.N
-        is_bounded = np.isfinite(constrained.lower)
-        bounded, unbounded = Y[:, is_bounded], Y[:, ~is_bounded]
+        noise = self._noise(joints, estimate)
+        Y, columns, right, _ = self._system(joints, estimate, noise, with_soft=True)
+        exact = self.constraints.exact(noise)
+        # Y (z0 + N y) = columns · (gains, delay) + right
+        target = right - Y @ exact.z0
+        Y_of_y = Y @ exact.N
+        is_bounded = np.isfinite(exact.lower)
+        bounded, unbounded = Y_of_y[:, is_bounded], Y_of_y[:, ~is_bounded]
         bounded_count = bounded.shape[1]
-        A = np.column_stack([bounded, -columns])  # of bounded coefficients, gains and delay
-        lower_of_gains, upper_of_gains = self._bounds(estimate)
-        lower = np.concatenate([constrained.lower[is_bounded], lower_of_gains])
-        upper = np.concatenate([np.full(bounded_count, np.inf), upper_of_gains])
-        without_unbounded = projected_out(np.column_stack([A, right]), unbounded)
-        x = _bounded_least_squares(without_unbounded, lower, upper)
-        y = np.zeros(Y.shape[1])
-        y[is_bounded], gains_and_delay = np.split(x, [bounded_count])
-        y[~is_bounded], _ = scaled_least_squares(unbounded, right - A @ x)
-        *values, delay = gains_and_delay.tolist()
-        z = constrained.z0 + constrained.N @ y
-        return _Estimate(z, dict(zip(self._gains, values, strict=True)), delay)
 
-    def _bounds(self, estimate: _Estimate) -> tuple[Array, Array]:
-        """Lower and upper bounds of gains and delay for the step from an estimate, shape (G + 1,)."""
+        # First bounded y, gains and delay, from rows without what unbounded y can explain; then unbounded y.
+        A = np.column_stack([bounded, -columns])
+        lower_of_gains, upper_of_gains = self._bounds_of_gains_and_delay(estimate)
+        lower = np.concatenate([exact.lower[is_bounded], lower_of_gains])
+        upper = np.concatenate([np.full(bounded_count, np.inf), upper_of_gains])
+        without_unbounded = projected_out(np.column_stack([A, target]), unbounded)
+        x = _bounded_least_squares(without_unbounded, lower, upper)
+        y = np.zeros(Y_of_y.shape[1])
+        y[is_bounded], gains_and_delay = np.split(x, [bounded_count])
+        y[~is_bounded], _ = scaled_least_squares(unbounded, target - A @ x)
+        *gain_values, delay = gains_and_delay.tolist()
+        z = exact.z0 + exact.N @ y
+        return _Estimate(z, dict(zip(self._gains, gain_values, strict=True)), delay)
+
+    def _bounds_of_gains_and_delay(self, estimate: _Estimate) -> tuple[Array, Array]:
+        """Lower and upper bounds of gains and delay for the step from an estimate, shape (n_g + 1,)."""
         lower, upper = [], []
         for gain, value in estimate.gains.items():
             is_kp = gain.name == "kp"
             lower.append(value / _MOST_KP_RATIO if is_kp else 0.0)
             upper.append(value * _MOST_KP_RATIO if is_kp else np.inf)
-        is_given = len(self._lags.delays) == 1
-        lower.append(estimate.delay - _TINY if is_given else 0.0)
-        upper.append(estimate.delay + _TINY if is_given else MAX_DELAY)
+        is_given = len(self._delays.delays) == 1
+        lower.append(estimate.delay - _DELAY_SLACK if is_given else 0.0)
+        upper.append(estimate.delay + _DELAY_SLACK if is_given else MAX_DELAY)
         return np.array(lower), np.array(upper)
 
-    def _errors(self, data: Sequence[Blocks], total: Reduction, estimate: _Estimate) -> Array:
-        """Standard errors of the gains, shape (G,).
+    def _standard_errors(self, data: Sequence[Blocks], total: Reduction, estimate: _Estimate) -> Array:
+        """Standard errors of the gains, shape (n_g,).
 
-        They are those of scores in clusters of time, or by the number of independent samples if these are larger.
+        The variance is H⁻¹ S H⁻¹ with H = X' X. X are the columns of gains and delay less what coefficients explain of
+        them, and S is the covariance of the scores X' residual. S is taken once from the number of independent samples
+        and once from the scatter of scores between clusters of time. The larger variance counts.
         """
-        rows = self._joint_rows(total)
-        noise = self._noise(rows, estimate)
-        N = self.scale.constrained(noise).N
-        Y, columns, _, _ = self._system(rows, estimate, noise, with_soft=True)
-        of_columns, rank = scaled_least_squares(Y @ N, columns)  # what coefficients explain of them
-        rest, size = columns - Y @ N @ of_columns, np.linalg.norm(columns, axis=0)
-        self._check_determined(rest, size)
-        has_column = np.linalg.norm(rest, axis=0) > _LEAST_REST * size  # a given delay has none
-        rest = rest[:, has_column]
-        inverse = np.linalg.inv(rest.T @ rest)
+        joints = self._joint_factors(total)
+        noise = self._noise(joints, estimate)
+        N = self.constraints.exact(noise).N
+        Y, columns, _, _ = self._system(joints, estimate, noise, with_soft=True)
+        explaining_y, rank = scaled_least_squares(Y @ N, columns)  # shape (n_y, n_g + 1)
+        unexplained = columns - Y @ N @ explaining_y
+        size = np.linalg.norm(columns, axis=0)
+        self._check_determined(unexplained, size)
+        is_fitted = np.linalg.norm(unexplained, axis=0) > _LEAST_UNEXPLAINED * size  # not a given delay
+        X = unexplained[:, is_fitted]
+        inverse = np.linalg.inv(X.T @ X)
 
-        soft = self.scale.soft()
-        of_data, of_soft = np.split(rest, [len(rest) - len(soft.values)])
-        soft_scores = of_soft * (soft.weights * np.sqrt(self._samples_per_independent))[:, None]
-        soft_scatter = soft_scores.T @ soft_scores  # by the errors themselves, which the fit divides by the weights
-        data_scatter = self._samples_per_independent * (of_data.T @ of_data)
-        variance = np.diag(inverse @ (data_scatter + soft_scatter) @ inverse)
+        soft = self.constraints.soft()
+        X_of_data, X_of_soft = np.split(X, [len(X) - len(soft.values)])
+        covariance_of_data = self._samples_per_independent * (X_of_data.T @ X_of_data)
+        # `_system` multiplies a soft row by this factor over its standard error, and so its deviation.
+        deviation = soft.weights * np.sqrt(self._samples_per_independent)
+        X_times_deviation = X_of_soft * deviation[:, None]
+        covariance_of_soft = X_times_deviation.T @ X_times_deviation
+        variance = np.diag(inverse @ (covariance_of_data + covariance_of_soft) @ inverse)
 
-        scores = []
-        length = max(sum(map(len, data)) // _CLUSTERS, 1)
-        for log in data:
-            for cluster in log.regrouped(length).parts:
-                cluster_rows = self._joint_rows(cluster)
-                own_Y, own_columns, _, residual = self._system(cluster_rows, estimate, noise, with_soft=False)
-                own_rest = (own_columns - own_Y @ N @ of_columns)[:, has_column]
-                scores.append(own_rest.T @ residual)
+        scores = self._scores_of_clusters(data, estimate, noise, N @ explaining_y, is_fitted)
         if len(scores) >= FEWEST_CLUSTERS:
-            cluster_scatter = np.atleast_2d(len(scores) * np.cov(np.transpose(scores))) / freedom_left(total, rank)
-            robust = np.diag(inverse @ (cluster_scatter + soft_scatter) @ inverse)
+            scatter = np.atleast_2d(len(scores) * np.cov(np.transpose(scores)))
+            covariance_of_clusters = scatter / freedom_left(total, rank)
+            robust = np.diag(inverse @ (covariance_of_clusters + covariance_of_soft) @ inverse)
             variance = np.maximum(variance, robust)
-        return np.asarray(np.sqrt(variance[: len(self._gains)]))
+        return np.asarray(np.sqrt(variance[: len(self._gains)]))  # without that of the delay
 
-    def _check_determined(self, rest: Array, size: Array) -> None:
+    def _scores_of_clusters(
+        self, data: Sequence[Blocks], estimate: _Estimate, noise: Array, explaining_z: Array, is_fitted: Mask
+    ) -> list[Array]:
+        """X' residual of each cluster of time, see `_standard_errors`, without soft constraints."""
+        scores = []
+        blocks_per_cluster = max(sum(map(len, data)) // _TARGET_CLUSTERS, 1)
+        for log in data:
+            for cluster in log.regrouped(blocks_per_cluster).parts:
+                joints = self._joint_factors(cluster)
+                Y, columns, _, residual = self._system(joints, estimate, noise, with_soft=False)
+                X = (columns - Y @ explaining_z)[:, is_fitted]
+                scores.append(X.T @ residual)
+        return scores
+
+    def _check_determined(self, unexplained: Array, size: Array) -> None:
         """Refuse gains whose columns the others explain; ConfigError."""
         for i, gain in enumerate(self._gains):
-            own = projected_out(rest[:, [i]], np.delete(rest, i, axis=1))
-            if np.linalg.norm(own) <= _LEAST_REST * size[i]:
+            others = np.delete(unexplained, i, axis=1)
+            own = projected_out(unexplained[:, [i]], others)
+            if np.linalg.norm(own) <= _LEAST_UNEXPLAINED * size[i]:
                 what = f"the logs do not tell {gain.name} of {gain.joint} from the coefficients of the model"
                 raise ConfigError(f"controller.{gain.name}", f"{what}; give a number, or log other motions")
 
 
-def _cost_of_joints_alone(rows: Sequence[_JointRows], weights: Array) -> float:
+def _cost_of_joints_alone(joints: Sequence[_JointFactor], delay_weights: Array) -> float:
     """Negative log likelihood of the joints by themselves."""
-    return sum(joint.count * float(np.log(joint.residual_alone(weights) + _TINY)) for joint in rows)
+    cost = 0.0
+    for joint in joints:
+        cost += joint.sample_count * float(np.log(joint.residual_alone(delay_weights) + _LEAST_RESIDUAL))
+    return cost
 
 
 def _bounded_least_squares(rows: Array, lower: Array, upper: Array) -> Array:
@@ -622,8 +687,16 @@ def _bounded_least_squares(rows: Array, lower: Array, upper: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Constrained:
-    """Free coefficients that satisfy exact constraints, z0 + N y: shapes (p',) and (p', f); lower bounds of y (f,)."""
+class _ExactConstraints:
+    """All coefficients that satisfy the exact constraints, z = z0 + N y.
+
+    Attributes
+    ----------
+    z0, N
+        Shapes (n_z,) and (n_z, n_y).
+    lower
+        Lower bounds of y, shape (n_y,).
+    """
 
     z0: Array
     N: Array
@@ -631,14 +704,12 @@ class _Constrained:
 
 
 class _SoftConstraints(NamedTuple):
-    """Measured constraints row · z = value, in units of their standard errors over their weights.
+    """Constraints row · z = value that hold up to an error: measured values, and the size of the prior's torques.
 
     Attributes
     ----------
-    rows
-        Shape (n, p').
-    values
-        Shape (n,).
+    rows, values
+        Both sides times weight / standard error, shapes (n, n_z) and (n,).
     weights
         How many times more each counts in the fit than its standard error tells, shape (n,).
     """
@@ -648,75 +719,81 @@ class _SoftConstraints(NamedTuple):
     weights: Array
 
 
-class _Scale:
-    """The prior's bodies, and what fixes the scale of each set of coupled joints.
+class _Constraints:
+    """Constraints of the free coefficients, and what fixes the scale of each set of coupled joints.
 
     Attributes
     ----------
     sources
-        By index of the joint; only joints of sets with unknown gains.
-    prior
-        Free coefficients of the prior's bodies, 0 for all others, shape (p',).
-    is_other
-        True for free coefficients that are not of bodies, shape (p',).
+        What fixes the scale, by index of the joint; only joints of sets with unknown gains.
+    prior_z
+        Free coefficients of the prior's bodies, 0 for all others, shape (n_z,).
+    is_not_of_body
+        True for free coefficients that are not of bodies, shape (n_z,).
     lower
-        Lower bounds of the free coefficients, shape (p',).
+        Lower bounds of the free coefficients, shape (n_z,).
     """
 
-    def __init__(self, experiment: Experiment, gains: Sequence[_Gain], rows: Sequence[Array]) -> None:
-        self._equalities, joints = experiment.equalities, experiment.equation.joints
-        every, free = experiment.equation.coefficients, experiment.equalities.free
-        body_count = len(experiment.model.bodies)
-        self.is_other = free >= PI_SIZE * body_count
-        self.lower = np.array([every[i].lower for i in free])
+    def __init__(self, experiment: Experiment, gains: Sequence[_UnknownGain], Y_of_joints: Sequence[Array]) -> None:
+        self._equalities = experiment.equalities
+        free = experiment.equalities.free
+        coefficients = experiment.equation.coefficients  # those of bodies first
+        self.is_not_of_body = free >= PI_SIZE * len(experiment.model.bodies)
+        self.lower = np.array([coefficients[i].lower for i in free])
         self.sources: dict[int, ScaleSource] = {}
-        self._sets_by_prior: list[list[int]] = []
+        self._sets_scaled_by_prior: list[list[int]] = []
         for coupled in _coupled_joints(experiment):
-            if any(gain.index in coupled for gain in gains):
+            if any(gain.joint_index in coupled for gain in gains):
                 source = _scale_source(experiment, coupled)
                 self.sources |= dict.fromkeys(coupled, source)
                 if source == "prior":
-                    self._sets_by_prior.append(coupled)
-        self.prior = np.where(self.is_other, 0.0, _prior_theta(experiment, bool(self._sets_by_prior))[free])
-        self._rows: list[Array] = []  # of each joint: torque by the prior times that of coefficients
-        self._sizes: list[float] = []
-        for Y in rows:
-            row = np.where(self.is_other, 0.0, Y.T @ (Y @ self.prior))
-            self._rows.append(row)
-            self._sizes.append(float(row @ self.prior))
-        self._with_unknown_kp = [gain.index for gain in gains if gain.name == "kp"]
+                    self._sets_scaled_by_prior.append(coupled)
+        prior_theta = _prior_theta(experiment, fixes_scale=bool(self._sets_scaled_by_prior))
+        self.prior_z = np.where(self.is_not_of_body, 0.0, prior_theta[free])
+        # Of each joint: (Y_b b0)' Y_b, which b multiplies, and |Y_b b0|².
+        self._prior_torque_products: list[Array] = []
+        self._prior_torques_squared: list[float] = []
+        for Y in Y_of_joints:
+            prior_torque = Y @ self.prior_z
+            product = np.where(self.is_not_of_body, 0.0, Y.T @ prior_torque)
+            self._prior_torque_products.append(product)
+            self._prior_torques_squared.append(float(product @ self.prior_z))
+        self._with_unknown_kp = [gain.joint_index for gain in gains if gain.name == "kp"]
         for j in self._with_unknown_kp:
-            if not self._sizes[j] > 0:
-                what = f"the URDF's bodies exert no torque on {joints[j]}, so that nothing tells the scale of its gains"
+            if not self._prior_torques_squared[j] > 0:
+                joint = experiment.equation.joints[j]
+                what = f"the URDF's bodies exert no torque on {joint}, so that nothing tells the scale of its gains"
                 raise ConfigError("controller.kp", f"{what}; give its kp, or correct the URDF's masses")
 
     def soft(self) -> _SoftConstraints:
-        """Measured constraints, and that the torque of each joint with unknown kp has the size of the prior's."""
+        """Measured values, and that the torque of each joint with unknown kp has the size of the prior's."""
         measured = self._equalities.soft_rows()
         rows = [*(measured[:, :-1] @ self._equalities.K)]
         values = measured[:, -1].tolist()
-        precision = _PRIOR_WEIGHT / _PRIOR_ERROR
+        row_factor = _PRIOR_WEIGHT / _PRIOR_ERROR
         for j in self._with_unknown_kp:
-            rows.append(precision * self._rows[j] / self._sizes[j])
-            values.append(precision)
+            rows.append(row_factor * self._prior_torque_products[j] / self._prior_torques_squared[j])
+            values.append(row_factor)
         weights = np.concatenate([np.ones(len(measured)), np.full(len(self._with_unknown_kp), _PRIOR_WEIGHT)])
-        return _SoftConstraints(np.array(rows).reshape(-1, len(self.prior)), np.array(values), weights)
+        return _SoftConstraints(np.array(rows).reshape(-1, len(self.prior_z)), np.array(values), weights)
 
-    def constrained(self, noise: Array) -> _Constrained:
+    def exact(self, noise: Array) -> _ExactConstraints:
         """The coefficients that satisfy the exact constraints, with the joints weighted by their noise, shape (nv,)."""
-        rows = [constraint.row @ self._equalities.K for constraint in self._equalities.hard]
+        constraint_rows = [constraint.row @ self._equalities.K for constraint in self._equalities.hard]
         values = [constraint.value for constraint in self._equalities.hard]
-        for joints in self._sets_by_prior:
-            rows.append(np.sum([self._rows[j] / noise[j] ** 2 for j in joints], axis=0))
-            values.append(sum(self._sizes[j] / noise[j] ** 2 for j in joints))
-        C = np.array(rows).reshape(-1, len(self.prior))
+        for joints in self._sets_scaled_by_prior:
+            constraint_rows.append(np.sum([self._prior_torque_products[j] / noise[j] ** 2 for j in joints], axis=0))
+            values.append(sum(self._prior_torques_squared[j] / noise[j] ** 2 for j in joints))
+        C = np.array(constraint_rows).reshape(-1, len(self.prior_z))
         size = np.linalg.norm(C, axis=1)
         C, right = C / size[:, None], np.array(values) / size
         N = null_space(C)
+        # Coefficients that no constraint contains are the first elements of y, in their order. Only they are bounded.
+        is_unconstrained = ~C.any(axis=0)
         lower = np.full(N.shape[1], -np.inf)
-        is_free = ~C.any(axis=0)  # these come first in the basis, as they are
-        lower[: np.count_nonzero(is_free)] = self.lower[is_free]
-        return _Constrained(np.linalg.lstsq(C, right, rcond=None)[0], N, lower)
+        lower[: np.count_nonzero(is_unconstrained)] = self.lower[is_unconstrained]
+        z0 = np.linalg.lstsq(C, right, rcond=None)[0]
+        return _ExactConstraints(z0, N, lower)
 
 
 def _coupled_joints(experiment: Experiment) -> list[list[int]]:
@@ -739,7 +816,7 @@ def _coupled_joints(experiment: Experiment) -> list[list[int]]:
 def _scale_source(experiment: Experiment, joints: Sequence[int]) -> ScaleSource:
     """Source of the scale of a set of coupled joints."""
     controllers = [run.signals.controller for run in experiment.runs if run.train]
-    if any(not controller.joints[j] for controller in controllers for j in joints):
+    if any(not controller.joints[j] for controller in controllers for j in joints):  # none for a logged torque
         return "logged_torque"
     if any(_has_given_gain(experiment, controller, j) for controller in controllers for j in joints):
         return "given_gain"
@@ -749,7 +826,7 @@ def _scale_source(experiment: Experiment, joints: Sequence[int]) -> ScaleSource:
 
 
 def _has_given_gain(experiment: Experiment, controller: JointController, j: int) -> bool:
-    """True if a gain of a joint is given that friction cannot make up for, as it can for kd without a moving vcmd."""
+    """True if kp of a joint is given, or kd with a moving vcmd; without one, friction can make up for kd."""
     if controller.kp[j, 0] > 0:
         return True
     joint = experiment.equation.joints[j]
@@ -757,27 +834,29 @@ def _has_given_gain(experiment: Experiment, controller: JointController, j: int)
 
 
 def _known_values_determine_scale(experiment: Experiment, joints: Sequence[int]) -> bool:
-    """True if the torque of a set of joints depends on known values of their coefficients.
+    """True if known values rule out that all torques of a set of joints are 0, and so fix the scale.
 
-    It does if not all known values can be had by changes of the coefficients that leave the torque unchanged.
+    They do not if coefficients without any torque can have all of these values.
     """
     active = np.unique(np.concatenate([experiment.equation.active()[j] for j in joints]))
     K = experiment.equalities.K
-    rows, values = [], []
+    constraint_rows, values = [], []
     for constraint in experiment.equalities.constraints:
         if constraint.row[active].any():
-            size = float(np.linalg.norm(constraint.row @ K))
-            rows.append(constraint.row @ K / size)
+            row = constraint.row @ K
+            size = float(np.linalg.norm(row))
+            constraint_rows.append(row / size)
             values.append(constraint.value / size)
     if not any(values):
-        return False
+        return False  # z = 0 has them
     base = structural_base_parameters(experiment.model, experiment.equation, experiment.equalities)
     B = base.B @ K
-    unseen = null_space(B / np.linalg.norm(B, axis=1)[:, None])
-    changed = np.array(rows) @ unseen
-    needed = np.array(values)
-    achieved = changed @ np.linalg.lstsq(changed, needed, rcond=_LEAST_INFORMATION)[0]
-    return bool(np.linalg.norm(needed - achieved) > _LEAST_INFORMATION * np.linalg.norm(needed))
+    without_torque = null_space(B / np.linalg.norm(B, axis=1)[:, None])  # directions of z
+    changes = np.array(constraint_rows) @ without_torque  # of the known values, along these directions
+    known = np.array(values)
+    steps = np.linalg.lstsq(changes, known, rcond=_ROUNDING)[0]
+    unreached = known - changes @ steps
+    return bool(np.linalg.norm(unreached) > _ROUNDING * np.linalg.norm(known))
 
 
 def _prior_theta(experiment: Experiment, fixes_scale: bool) -> Array:

@@ -107,7 +107,7 @@ def controller_gains_report(fit: Fit) -> dict[str, ControllerGainsReport]:
     if gains is None:
         return {}
     reports = {}
-    for joint, source in gains.scales.items():
+    for joint, source in gains.scale_sources.items():
         kp, kd = gains.kp.get(joint), gains.kd.get(joint)
         reports[joint] = ControllerGainsReport(
             kp=kp.value if kp else None,

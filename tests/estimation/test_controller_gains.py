@@ -105,7 +105,7 @@ def values(gains: Mapping[str, UncertainValue]) -> Array:
 @pytest.mark.parametrize("delay", [DELAY, "auto"])
 def test_gains_are_found_if_mass_and_centre_of_one_link_are_known(delay: float | str) -> None:
     gains = fitted_gains({**FIT, "delay": delay}, **SHANK)
-    assert set(gains.scales.values()) == {"known_values"}
+    assert set(gains.scale_sources.values()) == {"known_values"}
     assert values(gains.kp) == pytest.approx(KP, rel=0.02)
     assert values(gains.kd) == pytest.approx(KD, rel=0.02)
     assert not gains.notices
@@ -113,7 +113,7 @@ def test_gains_are_found_if_mass_and_centre_of_one_link_are_known(delay: float |
 
 def test_gains_are_found_if_the_masses_of_the_urdf_are_right_and_its_inertias_are_not() -> None:
     gains = fitted_gains(FIT, urdf=robot(1.0, (1.25, 0.8, 1.25)), rotors=rotors(1.0))
-    assert set(gains.scales.values()) == {"prior"}
+    assert set(gains.scale_sources.values()) == {"prior"}
     assert values(gains.kp) == pytest.approx(KP, rel=0.02)
     assert values(gains.kd) == pytest.approx(KD, rel=0.02)
 
@@ -133,13 +133,13 @@ def test_gains_are_as_wrong_as_all_masses_are() -> None:
 
 def test_a_known_mass_alone_does_not_fix_the_scale() -> None:
     """The torque tells first moments: the mass of a link acts on it like a first moment of the link before it."""
-    assert set(fitted_gains(FIT, known=SHANK["known"]).scales.values()) == {"prior"}
+    assert set(fitted_gains(FIT, known=SHANK["known"]).scale_sources.values()) == {"prior"}
 
 
 @pytest.mark.parametrize("kd", ["fit", GAINS["kd"]])
 def test_given_gain_of_one_joint_is_the_scale_of_all(kd: Any) -> None:
     gains = fitted_gains({**FIT, "kp": {"abad": 300.0, "hip": "fit", "knee": "fit"}, "kd": kd})
-    assert set(gains.scales.values()) == {"given_gain"}
+    assert set(gains.scale_sources.values()) == {"given_gain"}
     assert set(gains.kp) == {"hip", "knee"}
     assert set(gains.kd) == (set(JOINTS) if kd == "fit" else set())
     assert [gain.value for gain in gains.kp.values()] == pytest.approx(KP[1:], rel=0.02)
@@ -155,7 +155,7 @@ def test_logged_torque_of_one_joint_is_the_scale_of_all() -> None:
         tau[:, 0] = np.nan_to_num(tau[:, 0]) + gain * (command - signals[name][:, 0])
     gains = fitted_gains(FIT, replace(log(), signals={**signals, "tau": tau}))
     assert set(gains.kp) == {"hip", "knee"}
-    assert set(gains.scales.values()) == {"logged_torque"}
+    assert set(gains.scale_sources.values()) == {"logged_torque"}
     assert [gain.value for gain in gains.kp.values()] == pytest.approx(KP[1:], rel=0.02)
     assert [gain.value for gain in gains.kd.values()] == pytest.approx(KD[1:], rel=0.02)
 
@@ -186,7 +186,7 @@ def test_kd_is_not_told_from_viscous_friction_without_a_velocity_command() -> No
     )
     viscous = [TRUTH.friction[name].viscous for name in JOINTS]
     assert values(gains.kd) == pytest.approx(KD + viscous, rel=0.05)
-    assert gains.includes_friction == JOINTS
+    assert gains.joints_with_friction_in_kd == JOINTS
     assert "controller_gain_with_friction" in {notice.code for notice in gains.notices}
 
 
