@@ -236,8 +236,14 @@ def simulate(
     theta = experiment.equation.prior
     simulated = simulated_log(experiment, theta, used_window, Path(LOG_NAME), report_progress)
     report = _report(experiment, simulated, time.monotonic() - start)
-    source = experiment.runs[0].signals.log.path
-    return SimulationResult(Log.from_record(simulated.log), report, experiment.model, simulated.measured, source, track)
+    return SimulationResult(
+        log=Log.from_record(simulated.log),
+        report=report,
+        _model=experiment.model,
+        _measured=simulated.measured,
+        _source=experiment.runs[0].signals.log.path,
+        _tracks=track,
+    )
 
 
 def _check_options(settings: Config, window: float | None, closed_loop: bool, track: bool) -> None:

@@ -317,14 +317,14 @@ class Signals:
         lags = np.where(self.velocity_from_position, 0.0, self.lag)
         for relation, largest in (("lags", float(lags.max())), ("leads", float(-lags.min()))):
             if largest > _MIN_LAG * self.log.dt:
-                message = (
-                    f"the measured velocity {relation} the derivative of the position by up to {largest * 1e3:.1f} ms"
-                )
+                time = f"{1e3 * largest:.1f} ms"
+                message = f"the measured velocity {relation} the derivative of the position by up to {time}"
                 self.notices.append(Notice("velocity_lag", "note", None, f"{message}; idtool corrects it"))
         if self.channels.bias.any():
             bias = float(np.abs(self.channels.bias).max())
             message = f"the measured velocity has an offset of up to {short_number(bias, 2)} rad/s or m/s"
-            self._note(Notice("velocity_bias", "note", None, message, "idtool corrects it"), self.channels.bias != 0)
+            notice = Notice("velocity_bias", "note", None, message, "idtool corrects it")
+            self._note(notice, self.channels.bias != 0)
 
     def _ranges(self) -> list[slice]:
         """Samples of each stretch for which derivatives and delayed commands exist; LogError if there are none."""

@@ -182,7 +182,7 @@ def _agreement_text(compared: Sequence[ComparedParameter], sensitivity: float | 
 
 
 def _compared_text(compared: Sequence[ComparedParameter]) -> str:
-    """How many parameters the answer is about, in words."""
+    """Number of the parameters that the answer is about, in words."""
     return f"{len(compared)} parameters that the data of both determine"
 
 

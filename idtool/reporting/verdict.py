@@ -52,7 +52,7 @@ def worst_level(reasons: Sequence[VerdictReason]) -> VerdictLevel:
 
 
 def next_steps(reasons: Sequence[VerdictReason]) -> list[str]:
-    """What to do with a model, one sentence each.
+    """Suggested next steps with a model, one sentence each.
 
     Parameters
     ----------

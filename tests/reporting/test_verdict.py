@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from commands import LEG, TRAIN, VALIDATE, idtool
 
@@ -146,7 +147,10 @@ def test_the_sample_leg_is_good(tmp_path: Path) -> None:
     assert done.json["noise_floor"]["overall"] == pytest.approx(0.108, rel=0.05)
     assert done.json["next"][0].startswith("Use the model for control and simulation")
     assert done.err.startswith("Verdict: good\n✓ torque: On held-out data, the torque error is 2.2 %")
-    assert '<p class="verdict good">Good</p>' in (tmp_path / "report.html").read_text()
+    page = (tmp_path / "report.html").read_text()
+    parts = ('<p class="verdict good">Good</p>', "What to do next", "<nav>", 'id="part-2"')
+    places = [page.index(part) for part in parts]
+    assert places == sorted(places)
 
 
 def test_a_wrong_sign_must_not_be_used(tmp_path: Path) -> None:
@@ -155,10 +159,19 @@ def test_a_wrong_sign_must_not_be_used(tmp_path: Path) -> None:
     wrong = package.Log.from_arrays("wrong", log.t, log.joints, q=log.q, v=log.v, tau=-log.tau).save(tmp_path / "w.csv")
     done = idtool("validate", LEG, wrong, "--strict", "--no-simulation", "--out", tmp_path / "out")
     assert done.code == 1
-    assert done.out.startswith("Verdict: do not use\n✗ ")
-    assert "✗ torque: On these logs, the torque error is " in done.out
+    assert done.out.startswith("Verdict: do not use\n✗ torque: On these logs, the torque error is ")
     assert "--strict: the verdict is that the model must not be used" in done.out
     assert idtool("validate", LEG, wrong, "--no-simulation", "--out", tmp_path / "out").code == 0
+
+
+def test_a_problem_of_the_log_is_the_first_reason() -> None:
+    log = package.Log(TRAIN)
+    tau = np.asarray(log.tau) * [1, -1, 1]
+    result = package.fit(LEG, package.Log.from_arrays("wrong", log.t, log.joints, q=log.q, v=log.v, tau=tau))
+    first = result.verdict_reasons[0]
+    assert (first.about, first.level) == ("data", "do_not_use")
+    assert "hip" in first.text
+    assert result.next[0].startswith("First correct the data")
 
 
 def test_what_was_not_simulated_is_good_for_torque_only(tmp_path: Path) -> None:

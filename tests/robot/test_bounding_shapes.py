@@ -214,7 +214,10 @@ REFUSALS: dict[str, tuple[Any, str]] = {
     ),
     "no kind": ({"shank_link": [{"radius": 1}]}, "bounding_shapes.shank_link.0: needs a kind"),
     "a shape that is no list": ({"shank_link": KINDS["box"]}, "bounding_shapes.shank_link"),
-    "another kind's key": ({"shank_link": [{**KINDS["box"], "radius": 1}]}, "unknown key 'radius'"),
+    "another kind's key": (
+        {"shank_link": [{**KINDS["box"], "radius": 1}]},
+        "unknown key 'radius': it is a key of another kind",
+    ),
     "a box of two sides": ({"shank_link": [{"kind": "box", "size": [1, 1]}]}, "bounding_shapes.shank_link.0"),
     "a side of nothing": ({"shank_link": [{"kind": "box", "size": [1, 1, 0]}]}, "bounding_shapes.shank_link.0"),
     "a radius below nothing": (

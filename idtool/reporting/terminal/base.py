@@ -17,7 +17,7 @@ from idtool.common.interrupt import restore_keyboard_interrupt
 from idtool.common.memory import resume_garbage_collection
 from idtool.reporting.sections.base import Table
 from idtool.reporting.terminal.layout import table_lines
-from idtool.reporting.terminal.output import STYLE, Output, printable
+from idtool.reporting.terminal.output import STYLE, Output, without_control_characters
 from idtool.reporting.terminal.progress import progress_bar
 
 _UNLIMITED_WIDTH = 100_000  # characters: what is read by a program has lines as long as they need
@@ -44,7 +44,7 @@ class Terminal(Output):
     @override
     def say(self, text: str, style: str | None = None) -> None:
         """Print plain text, usually one line, which the terminal may wrap."""
-        lines = (printable(line) for line in text.split("\n"))
+        lines = (without_control_characters(line) for line in text.split("\n"))
         self.console.print(Text("\n".join(lines)), style=style, soft_wrap=True)
 
     @override

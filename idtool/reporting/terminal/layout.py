@@ -18,7 +18,7 @@ from rich.console import Console, JustifyMethod
 from rich.text import Text
 
 from idtool.reporting.sections.base import Cell, Column, Table
-from idtool.reporting.terminal.output import EMPHASIS_STYLE, printable
+from idtool.reporting.terminal.output import EMPHASIS_STYLE, without_control_characters
 
 _GAP = 2  # blanks between columns
 _MIN_TEXT_WIDTH = 20  # blanks that a column of words is left with, if it has so many
@@ -67,12 +67,12 @@ def _strip(table: Table, index: int) -> _Strip:
     column = table.columns[index]
     heading = f"{column.heading} {column.unit}".rstrip()
     cells = [_text(row[index], column) for row in table.rows]
-    return _Strip(column, Text(printable(heading), "dim"), cells)
+    return _Strip(column, Text(without_control_characters(heading), "dim"), cells)
 
 
 def _text(cell: Cell, column: Column) -> Text:
     is_whole = column.kind != "words"
-    return Text(printable(cell.text), EMPHASIS_STYLE[cell.emphasis], no_wrap=is_whole, overflow="fold")
+    return Text(without_control_characters(cell.text), EMPHASIS_STYLE[cell.emphasis], no_wrap=is_whole, overflow="fold")
 
 
 def _longest_word(text: Text) -> int:

@@ -8,7 +8,7 @@ from markupsafe import Markup
 from typing_extensions import override
 
 from idtool.reporting.sections.base import Cell, Column, Table
-from idtool.reporting.terminal.output import EMPHASIS_STYLE, Output, printable
+from idtool.reporting.terminal.output import EMPHASIS_STYLE, Output, without_control_characters
 
 _MAX_OPEN_ROWS = 12  # of a table; longer ones are folded
 _CSS = {  # the colours are legible on white and on black; all else is the theme's
@@ -37,7 +37,7 @@ class NotebookOutput(Output):
 
     @override
     def say(self, text: str, style: str | None = None) -> None:
-        lines = [printable(line) for line in text.split("\n") if line]
+        lines = [without_control_characters(line) for line in text.split("\n") if line]
         if lines:
             self._parts.append(_TEXT.format(_css(style or ""), "\n".join(lines)))
 
@@ -47,7 +47,7 @@ class NotebookOutput(Output):
         headings = _joined(_heading(column) for column in shown.columns)
         rows = _joined(_row(shown.columns, cells) for cells in shown.rows)
         html = _TABLE.format(_ROW.format(headings), rows)
-        title = printable(shown.title)
+        title = without_control_characters(shown.title)
         if len(shown.rows) > _MAX_OPEN_ROWS:
             self._parts.append(_FOLDED.format(title, len(shown.rows), html))
         else:
@@ -69,14 +69,16 @@ def _alignment(column: Column) -> str:
 
 def _heading(column: Column) -> Markup:
     text = f"{column.heading} {column.unit}".rstrip()
-    return _HEADING.format(_alignment(column), printable(column.help), printable(text))
+    return _HEADING.format(
+        _alignment(column), without_control_characters(column.help), without_control_characters(text)
+    )
 
 
 def _row(columns: Iterable[Column], cells: Iterable[Cell]) -> Markup:
     html = []
     for column, cell in zip(columns, cells, strict=True):
         css = ";".join(filter(None, [_alignment(column), _css(EMPHASIS_STYLE[cell.emphasis])]))
-        html.append(_CELL.format(css, printable(cell.text)))
+        html.append(_CELL.format(css, without_control_characters(cell.text)))
     return _ROW.format(_joined(html))
 
 

@@ -47,6 +47,6 @@ class Output(ABC):
                 self.say(f"    {advice}")
 
 
-def printable(text: str) -> str:
+def without_control_characters(text: str) -> str:
     """The text, which may hold a stranger's names, without characters that steer a terminal or turn text round."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
