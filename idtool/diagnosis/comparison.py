@@ -28,6 +28,7 @@ from idtool.diagnosis.fitted_pair import ALL_BODIES, FittedPair, GapLevel, TermK
 from idtool.diagnosis.records import COMMAND_DELAY, RIGID_BODY, Diagnosis
 from idtool.diagnosis.trial import with_effects
 from idtool.dynamics.effects import NamedEffect, effect_from_entry, effect_name, mechanism_of
+from idtool.dynamics.mechanism import Mechanism
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.robot.config import EffectEntry
 from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE, mass_com_inertia, symmetric_entries
@@ -41,6 +42,7 @@ _MAX_UNEXPLAINED = 0.05  # of a joint's rms torque that the simulator's model ma
 _MAX_OVER_FLOOR = 2.0  # times the noise floor: an error up to there may be noise
 _IN_ROBOT_LOGS_ONLY = ("wrong_unit", "wrong_sign")  # faults that the configuration corrects in the robot's logs only
 _CHECK_SIMULATOR = "check that the simulator runs this URDF, with the same gravity, and logs the torque at the joints"
+_SMALL_TORQUE = np.array([1e-6])
 _BODY_UNITS = {"mass": "kg", "com": "m", "inertia_com": "kg·m²"}
 
 
@@ -510,17 +512,26 @@ def _simulator_notices(simulator: Diagnosis) -> Iterator[Notice]:
     found = [step.entry for step in simulator.steps if step.entry is not None]
     for entry in found:
         effect = effect_from_entry(entry, last.experiment.model)
-        if _changes_bodies(effect, last.experiment.model):
+        if _is_foreign_to_simulators(effect, last.experiment.model):
             target = entry.link or entry.joint
             parameter, value = next(iter(entry.values.items()))
             size = parameter_text(parameter, value, unit=effect.parameter_units().get(parameter))
             shown = f"{effect_name(entry.effect)} ({size})"
-            message = f"the simulator's bodies or gravity are not those of the URDF: its logs show {shown}"
+            message = f"the simulator's logs show {shown}, which a simulator of this URDF does not have"
             yield Notice("simulator_bodies_differ", "warning", target, message, _CHECK_SIMULATOR)
 
 
-def _changes_bodies(effect: NamedEffect, model: RobotModel) -> bool:
-    """True for an effect of inertia or gravity."""
+def _is_foreign_to_simulators(effect: NamedEffect, model: RobotModel) -> bool:
+    """True for an effect that a simulator with the URDF's bodies and gravity, and with exact torques, cannot have."""
     mechanism = mechanism_of(effect, model)
-    is_tilted = (mechanism.gravity != model.gravity).any()
-    return bool(mechanism.pi.any() or is_tilted or mechanism.model is not model)
+    has_other_bodies = bool(mechanism.pi.any()) or mechanism.model is not model
+    is_tilted = bool((mechanism.gravity != model.gravity).any())
+    return has_other_bodies or is_tilted or _scales_torque(mechanism)
+
+
+def _scales_torque(mechanism: Mechanism) -> bool:
+    """True if sensors measure a multiple of small torques; an actuator that saturates does not."""
+    return any(
+        not np.isclose(sensor.to_measured(_SMALL_TORQUE), _SMALL_TORQUE).all()
+        for sensor in mechanism.torque_sensors.values()
+    )
