@@ -81,6 +81,10 @@ def load_experiment(
     model = as_model(model)
     given = _GivenLogs(as_list(logs), as_list(validate), holdout)
     with _in_configuration(model):
+        if distribution is not None:
+            model.settings.require_only_joints("--cluster")
+        if pool is not None:
+            model.settings.require_only_joints("pool")
         if pool is not None and not given.has_reductions:
             robots_of_logs(pool, [path_of(log) for log in (*given.logs, *given.validate)])
         experiment: Experiment
@@ -123,6 +127,7 @@ def load_for_diagnosis(
         training, validation = given.reductions(with_excerpts=True)
         left_out: tuple[Notice, ...] = ()
         if distribution is not None:
+            model.settings.require_only_joints("--cluster")
             training, validation, left_out = _with_cluster_reductions(
                 training, validation, model, given, distribution, skip_bad, progress, with_excerpts=True
             )

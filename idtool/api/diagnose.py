@@ -266,7 +266,7 @@ def check_simulator_logs(model: Model, logs: Logs, against: Logs, cluster: str |
     """
     if not as_list(against):
         return
-    model.settings.require_only_joints("diagnose --against")
+    model.settings.require_only_joints("idtool diagnose --against")
     if cluster is not None:
         raise ConfigError("--cluster", "cannot be combined with --against, which compares whole logs")
     if skip_bad:

@@ -299,7 +299,7 @@ def _held_at_base(settings: Config, with_logs: bool) -> tuple[Config, tuple[Noti
     What a wrench sensor measures is left out: without it, a trajectory is expected to tell less than it does.
     """
     if with_logs:
-        settings.require_only_joints("excite with logs")
+        settings.require_only_joints("idtool excite with logs")
     held = settings.model_copy(update={"base": Base(), "contacts": (), "wrench_sensors": ()})
     if settings.base.kind == "fixed":
         return held, ()

@@ -119,7 +119,7 @@ def reduce_logs(
         As in `reduce`.
     """
     model = as_model(model)
-    model.settings.require_only_joints("reduce")  # the noise of other rows is that of all logs together
+    model.settings.require_only_joints("idtool reduce")  # the noise of other rows is that of all logs together
     experiment = load_experiment(
         model,
         logs,

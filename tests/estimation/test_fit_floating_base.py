@@ -130,15 +130,21 @@ def test_joints_in_the_air_are_simulated_with_the_measured_motion_of_the_base(fo
 
 
 @pytest.mark.parametrize(
-    ("command", "call"),
+    ("feature", "call"),
     [
-        ("excite with logs", lambda model, log, folder: idtool.excite(model, logs=log)),
-        ("diagnose --against", lambda model, log, folder: idtool.diagnose(model, log, against=folder / "stand.csv")),
+        ("idtool excite with logs", lambda model, log, folder: idtool.excite(model, logs=log)),
+        (
+            "idtool diagnose --against",
+            lambda model, log, folder: idtool.diagnose(model, log, against=folder / "stand.csv"),
+        ),
+        ("idtool reduce", lambda model, log, folder: idtool.reduce(model, log, folder / "hang.idr")),
+        ("--cluster", lambda model, log, folder: idtool.fit(model, log, cluster="local:1")),
+        ("--cluster", lambda model, log, folder: idtool.diagnose(model, log, cluster="local:1")),
     ],
 )
-def test_commands_for_a_fixed_base_say_so(folder: Path, command: str, call: Callable[..., Any]) -> None:
+def test_what_needs_a_fixed_base_says_so(folder: Path, feature: str, call: Callable[..., Any]) -> None:
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown"))
-    with pytest.raises(ConfigError, match=f"idtool {command} needs a fixed base"):
+    with pytest.raises(ConfigError, match=f"{feature} needs a fixed base"):
         call(model, folder / "hang.csv", folder)
 
 

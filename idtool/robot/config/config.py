@@ -104,13 +104,13 @@ class Config(ConfigRecord):
         """The file it was read from, if any."""
         return self._source
 
-    def require_only_joints(self, command: str) -> None:
-        """Raise ConfigError for a floating base, contacts or wrench sensors, which the command cannot handle."""
+    def require_only_joints(self, feature: str) -> None:
+        """Raise ConfigError for a floating base, contacts or wrench sensors, which a feature cannot handle."""
         if self.base.kind != "fixed":
-            raise ConfigError("base.kind: floating", f"idtool {command} needs a fixed base")
+            raise ConfigError("base.kind: floating", f"{feature} needs a fixed base")
         for key in ("contacts", "wrench_sensors"):
             if getattr(self, key):
-                raise ConfigError(key, f"are not for idtool {command}; remove them")
+                raise ConfigError(key, f"are not for {feature}; remove them")
 
     def without_friction_values(self) -> Config:
         """A copy with the friction terms, but without their values, and without armature and effects."""
