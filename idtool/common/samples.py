@@ -67,7 +67,8 @@ _SAMPLES: dict[SampleName, Sample] = {
     ),
     "quadruped": Sample(
         ("quadruped/*",),
-        "idtool fit {}/quadruped/quadruped.urdf {}/quadruped/stand.csv {}/quadruped/walk.csv --quick",
+        "idtool fit {}/quadruped/quadruped.urdf {}/quadruped/stand.csv {}/quadruped/walk.csv "
+        "{}/quadruped/hang.csv --quick",
     ),
 }
 

@@ -58,6 +58,6 @@ contacts:
 wrench_sensors:
   - {joint: ft, topic: /ft}
   - {joint: ft2, topic: /ft2, channel: ft2, frame: tool, sign: 1, offset: fit, common_offset: false, drift: auto}
-pool: {shared: bodies, own: [friction], robots: {spot1: [spot1_*.mcap]}}
+pool: {shared: bodies, own: [friction], robots: {leg1: [leg1_*.mcap]}}
 seed: 0
 """
