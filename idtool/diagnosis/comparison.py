@@ -522,7 +522,7 @@ def _simulator_notices(simulator: Diagnosis) -> Iterator[Notice]:
 
 
 def _is_foreign_to_simulators(effect: NamedEffect, model: RobotModel) -> bool:
-    """True for an effect that a simulator with the URDF's bodies and gravity, and with exact torques, cannot have."""
+    """True for other bodies, another gravity or a torque gain: a simulator of the URDF has none of them."""
     mechanism = mechanism_of(effect, model)
     has_other_bodies = bool(mechanism.pi.any()) or mechanism.model is not model
     is_tilted = bool((mechanism.gravity != model.gravity).any())
@@ -532,6 +532,6 @@ def _is_foreign_to_simulators(effect: NamedEffect, model: RobotModel) -> bool:
 def _scales_torque(mechanism: Mechanism) -> bool:
     """True if sensors measure a multiple of small torques; an actuator that saturates does not."""
     return any(
-        not np.isclose(sensor.to_measured(_SMALL_TORQUE), _SMALL_TORQUE).all()
+        not np.isclose(sensor.to_measured(_SMALL_TORQUE), _SMALL_TORQUE, atol=0.0).all()
         for sensor in mechanism.torque_sensors.values()
     )

@@ -4,29 +4,37 @@ With kp and kd unknown, the torque equation is homogeneous in coefficients and g
 
     Y theta = kp (qcmd(t − d) − q) + kd (vcmd(t − d) − v).
 
-So the logs tell masses, friction and gains up to one common factor for each set of coupled joints, and the fit of all
-of them to zero is perfect. The factor comes from outside: from a joint of the set whose torque was logged or of which a
-gain is given, or from known values that the motion determines, such as mass and centre of mass of one link. Known
-masses alone do not: the torque tells first moments, and a mass only together with the first moment of the link before
-it. Else the prior gives the factor. Let b0 be its bodies, the URDF's at the known masses, and b the fitted ones. Their
-torques along the logs, Y_b b0 and Y_b b in units of the joints' noise, satisfy (Y_b b0) · (Y_b b) = |Y_b b0|², a linear
-equation in b. If all masses of the prior are x % wrong, so are the gains.
+So the logs determine masses, friction and gains only up to one common factor for each set of coupled joints. A fit of
+all of them without this factor would choose zero, which satisfies the equation exactly. The factor follows from one
+of these:
 
-A joint's residual is mostly noise of its position times kp. So E = qcmd − q is the noisy variable that is predicted,
-and not a regressor: with its measured values as a column, kp would shrink to zero wherever the other joints hardly tell
-its scale. That is the maximum-likelihood estimate of theta, gains and delay under the residual of E. Gauss-Newton steps
-on the R-factors find it, with the delay on the polynomial of `command_delay`; the fit that follows determines the delay
-again. For each joint with unknown kp, the same equation holds softly, with a standard error: it matters where the
-motion hardly tells the scales of joints from each other.
+- A joint of the set whose torque was logged, or of which a gain is given.
+- Known values that the motion determines, such as mass and centre of mass of one link. Known masses alone are not
+  enough. The torque determines first moments of mass; a link's mass appears in it only together with the first moment
+  of the link before it.
+- Otherwise the prior. Let b0 be the prior's parameters of the bodies, with the known masses, and b the fitted ones.
+  Their torques along the logs are Y_b b0 and Y_b b, in units of the joints' noise. The condition (Y_b b0) · (Y_b b) =
+  |Y_b b0|² is a linear equation in b, which determines the factor. If all masses of the prior are x % wrong, so are
+  the gains.
 
-Standard errors are those of blocks of time for a given factor; they take account of coefficients and delay.
+The noise of a joint's residual is mostly that of its position, times kp. Therefore the position error E = qcmd − q is
+the quantity that is predicted, not a regressor. With the noisy E as a regressor, kp would be biased towards zero
+wherever the other joints hardly determine its scale. The estimate is the one of maximum likelihood for theta, gains
+and delay, under Gaussian residuals of E. Gauss-Newton steps on the R-factors find it, with the delay on the
+polynomial of `command_delay`. The fit that follows determines the delay again.
 
-Without a moving vcmd, the column of kd is that of viscous friction, and much like that of the delay: kd is then fitted
-only where the model has no viscous friction of the joint and the delay is given.
+For each joint with unknown kp, the prior's condition is also a soft one for that joint alone, with a standard error.
+It matters where the motion hardly determines the scales of joints relative to each other.
 
-Letters: E = qcmd(t − d) − q, which kp multiplies; theta = K z, the coefficients by the n_z free ones; Y their columns,
-Y_b those of bodies; y the coefficients in a basis N of all z that satisfy the exact constraints, z = z0 + N y. In
-shapes, n_d is the number of delays, n_g that of unknown gains and r that of a factor's rows; ' is a transpose.
+Standard errors are those of blocks of time, for the factor as it is. They include the uncertainty of coefficients and
+delay.
+
+Without a moving vcmd, the column of kd is that of viscous friction, and similar to that of the delay. Then kd is
+fitted only if the model has no viscous friction of the joint and the delay is given.
+
+Letters: E = qcmd(t − d) − q; theta = K z, the coefficients from the n_z free ones; Y their columns, Y_b those of the
+bodies; z = z0 + N y, all z that satisfy the exact constraints. In shapes, n_d is the number of delays, n_g that of
+unknown gains and r that of a factor's rows; ' is a transpose.
 """
 
 from __future__ import annotations
@@ -75,8 +83,8 @@ _MOST_STEPS = 50
 _GAIN_TOLERANCE = 1e-4  # relative change of gains in a step below which the fit has converged
 _MOST_KP_RATIO = 2.0  # by which a step may multiply or divide a kp
 _PRIOR_ERROR = 0.3  # relative standard error of the torque that the prior's bodies exert on a joint
-# The fit trusts the prior's torque by this factor more than _PRIOR_ERROR says: what a real robot's model leaves is no
-# noise but model error, so that the logs count too much. Standard errors use _PRIOR_ERROR itself.
+# In the fit, the prior's standard error is smaller by this factor. The residual of a real robot is model error rather
+# than noise, so a fit that takes it for noise trusts the logs too much. Standard errors use _PRIOR_ERROR itself.
 _PRIOR_WEIGHT = 3.0
 _LEAST_NOISE = 1e-4  # of a joint's torque
 _LEAST_RESIDUAL = 1e-12  # norm of a residual, against division by 0 and log(0)
@@ -146,13 +154,12 @@ class ControllerGains:
             advice = "give them, or controller.delay if it is auto, or log faster motions with vcmd"
             notices.append(Notice("controller_gains_uncertain", "warning", "controller", message, advice))
         if not self.has_converged:
-            message = f"the gains still change after {_MOST_STEPS} steps: the logs hardly tell them"
+            message = f"the gains still change after {_MOST_STEPS} steps: the logs hardly determine them"
             advice = "give one kp, or controller.delay if it is auto"
             notices.append(Notice("controller_gains_not_converged", "warning", "controller", message, advice))
         if self.joints_with_friction_in_kd:
-            message = (
-                f"without a moving vcmd, kd includes viscous friction: {join_names(self.joints_with_friction_in_kd)}"
-            )
+            joints = join_names(self.joints_with_friction_in_kd)
+            message = f"without a moving vcmd, kd includes viscous friction: {joints}"
             notices.append(Notice("controller_gain_with_friction", "note", "controller.kd", message))
         return tuple(notices)
 
@@ -236,7 +243,10 @@ class _UnknownGain:
 
 
 def _unknown_gains(experiment: Experiment) -> Iterator[_UnknownGain]:
-    """The gains that are to be fitted, joint by joint: NaN in the controllers, whose gains are alike in all logs."""
+    """The gains that are to be fitted, joint by joint.
+
+    They are NaN in the controllers of the logs. The gains of a joint are the same in all logs.
+    """
     controllers = [run.signals.controller for run in experiment.runs if run.train]
     for j in range(experiment.model.joint_count):
         driving = [controller for controller in controllers if controller.joints[j]]  # of logs without its torque

@@ -6,6 +6,7 @@ import hashlib
 import json
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,10 @@ from commands import LEG, TRAIN, VALIDATE, idtool, refuse
 from simulator_pair import JOINTS, KD, KP, MJCF, ROBOT, URDF, Machine, robot, write_log, write_pair
 
 from idtool.data.pairing import LogPair
-from idtool.diagnosis.comparison import _pair_notices
+from idtool.diagnosis.comparison import _is_foreign_to_simulators, _pair_notices
+from idtool.dynamics.effects import effect_from_entry
+from idtool.robot.config import EffectEntry
+from idtool.robot.model import RobotModel
 
 DELAY = 0.004  # s
 EFFECTS = ("--effects", "rotor_inertia,time_delay,payload", "--no-simulation")
@@ -27,6 +31,7 @@ CHANGED = {
     ("rotor_inertia", "shoulder"): ("inertia", 0.0, 0.08),
     ("rotor_inertia", "elbow"): ("inertia", 0.0, 0.03),
 }
+PAYLOAD = {"mass": 0.1, "com": [0.0, 0.0, 0.1], "inertia": [1e-3, 0.0, 1e-3, 0.0, 0.0, 1e-3]}
 HEAVY = MJCF.replace('mass="1" diaginertia="0.008 0.008 0.001"', 'mass="1.5" diaginertia="0.016 0.016 0.002"')
 
 
@@ -230,6 +235,26 @@ def test_a_simulator_of_another_robot_is_named(heavy: Path) -> None:
     (notice,) = [notice for notice in found["notices"] if notice["code"] == "simulator_bodies_differ"]
     assert notice["subject"] == "lower"
     assert "payload (mass 0.5" in notice["message"]
+
+
+@pytest.mark.parametrize(
+    ("entry", "is_foreign"),
+    [
+        ({"effect": "torque_gain", "joint": "elbow", "parameters": {"gain": 0.999}}, True),
+        ({"effect": "gravity_tilt", "parameters": {"gravity": [0.1, 0.0, -9.81]}}, True),
+        ({"effect": "payload", "link": "lower", "parameters": PAYLOAD}, True),
+        ({"effect": "torque_saturation", "joint": "elbow", "parameters": {"level": 2.0, "bend": -0.1}}, False),
+        ({"effect": "quadratic_drag", "joint": "elbow", "parameters": {"drag": 0.1}}, False),
+        ({"effect": "rotor_inertia", "joint": "elbow", "parameters": {"inertia": 0.01}}, False),
+    ],
+    ids=lambda given: given["effect"] if isinstance(given, dict) else str(given),
+)
+def test_what_a_simulator_of_the_urdf_cannot_have(
+    build: Callable[..., RobotModel], entry: dict[str, Any], is_foreign: bool
+) -> None:
+    model = build(URDF, JOINTS)
+    effect = effect_from_entry(EffectEntry(**entry), model)
+    assert _is_foreign_to_simulators(effect, model) is is_foreign
 
 
 def test_logs_of_different_motions_are_refused_before_any_search(
