@@ -4,37 +4,42 @@ With kp and kd unknown, the torque equation is homogeneous in coefficients and g
 
     Y theta = kp (qcmd(t − d) − q) + kd (vcmd(t − d) − v).
 
-So the logs determine masses, friction and gains only up to one common factor for each set of coupled joints. A fit of
-all of them without this factor would choose zero, which satisfies the equation exactly. The factor follows from one
-of these:
+The logs determine masses, friction and gains only up to one common scale for each set of coupled joints. Without a
+fixed scale, least squares returns the zero solution. The scale is fixed by the first of these that is there:
 
-- A joint of the set whose torque was logged, or of which a gain is given.
-- Known values that the motion determines, such as mass and centre of mass of one link. Known masses alone are not
-  enough. The torque determines first moments of mass; a link's mass appears in it only together with the first moment
-  of the link before it.
-- Otherwise the prior. Let b0 be the prior's parameters of the bodies, with the known masses, and b the fitted ones.
-  Their torques along the logs are Y_b b0 and Y_b b, in units of the joints' noise. The condition (Y_b b0) · (Y_b b) =
-  |Y_b b0|² is a linear equation in b, which determines the factor. If all masses of the prior are x % wrong, so are
-  the gains.
+1. A joint of the set whose torque was logged, or a gain that is given.
+2. Known values that fix at least one base parameter, for example mass and centre of mass of one link. Known masses
+   alone do not: a link's mass enters the torques only in a sum with the first moment of the link before it.
+3. The prior. Let b0 be its inertial parameters, with known masses inserted, and b the fitted ones. Let Y_b b0 and Y_b
+   b be their torques along the logs, each joint's divided by the standard deviation of its residual. The fit requires
+   that the projection of Y_b b onto Y_b b0 equals Y_b b0: (Y_b b0) · (Y_b b) = |Y_b b0|². This is one linear equation
+   in b. If all masses of the prior are x % wrong, so are the gains.
 
-The noise of a joint's residual is mostly that of its position, times kp. Therefore the position error E = qcmd − q is
-the quantity that is predicted, not a regressor. With the noisy E as a regressor, kp would be biased towards zero
-wherever the other joints hardly determine its scale. The estimate is the one of maximum likelihood for theta, gains
-and delay, under Gaussian residuals of E. Gauss-Newton steps on the R-factors find it, with the delay on the
-polynomial of `command_delay`. The fit that follows determines the delay again.
+The residual is mostly the noise of the position, times kp. The position error E = qcmd − q is therefore the dependent
+variable. As a regressor, its noise would bias kp towards zero (errors in variables); the bias is large where the
+coupling to other joints hardly determines the scale of kp. The estimate is the maximum-likelihood one of theta, gains
+and delay for Gaussian residuals of E. Gauss-Newton iterations compute it from each joint's R-factor. Torque at a
+delay between the stored ones is interpolated with `DelayPolynomial`. The delay that is found is used only for the
+gains: `with_delay` estimates it again.
 
-For each joint with unknown kp, the prior's condition is also a soft one for that joint alone, with a standard error.
-It matters where the motion hardly determines the scales of joints relative to each other.
+Whatever fixes the scale, each joint with unknown kp also has a soft constraint. It is the equation of the prior for
+that joint alone, with the relative standard error _PRIOR_TORQUE_ERROR. It has an effect only where the motion hardly
+determines the scales of joints relative to each other.
 
-Standard errors are those of blocks of time, for the factor as it is. They include the uncertainty of coefficients and
-delay.
+Standard errors are conditional on the scale. They are the larger of those for independent samples and the
+cluster-robust ones. A cluster is a stretch of time.
 
-Without a moving vcmd, the column of kd is that of viscous friction, and similar to that of the delay. Then kd is
-fitted only if the model has no viscous friction of the joint and the delay is given.
+If vcmd is absent or constant, the column of kd is proportional to that of viscous friction, and nearly collinear with
+that of the delay. Then kd is fitted only if the model has no viscous friction of the joint and the delay is given,
+and the fitted kd includes viscous friction. Otherwise there is an error.
 
-Letters: E = qcmd(t − d) − q; theta = K z, the coefficients from the n_z free ones; Y their columns, Y_b those of the
-bodies; z = z0 + N y, all z that satisfy the exact constraints. In shapes, n_d is the number of delays, n_g that of
-unknown gains and r that of a factor's rows; ' is a transpose.
+Letters and shapes, ' is a transpose:
+
+- E = qcmd(t − d) − q [rad or m], d the delay [s]
+- theta (p,) all coefficients, z (n_z,) the free ones: theta = K z
+- y (n_y,) coordinates of all z that satisfy the exact constraints: z = z0 + N y
+- Y (r, n_z) columns of z in the rows of an R-factor; Y_b those of the bodies
+- n_d number of delays, n_g of unknown gains, n of samples, r of rows of an R-factor, nv of joints
 """
 
 from __future__ import annotations
@@ -79,20 +84,20 @@ _SOURCE_TEXTS: Mapping[ScaleSource, str] = {
 }
 
 _UNIT_GAINS: Mapping[GainName, tuple[float, float]] = {"kp": (1.0, 0.0), "kd": (0.0, 1.0)}  # kp and kd
-_MOST_STEPS = 50
-_GAIN_TOLERANCE = 1e-4  # relative change of gains in a step below which the fit has converged
-_MOST_KP_RATIO = 2.0  # by which a step may multiply or divide a kp
-_PRIOR_ERROR = 0.3  # relative standard error of the torque that the prior's bodies exert on a joint
-# In the fit, the prior's standard error is smaller by this factor. The residual of a real robot is model error rather
-# than noise, so a fit that takes it for noise trusts the logs too much. Standard errors use _PRIOR_ERROR itself.
-_PRIOR_WEIGHT = 3.0
-_LEAST_NOISE = 1e-4  # of a joint's torque
-_LEAST_RESIDUAL = 1e-12  # norm of a residual, against division by 0 and log(0)
-_DELAY_SLACK = 1e-12  # s; the bounds of a given delay must differ
+_MAX_ITERATIONS = 50
+_GAIN_TOLERANCE = 1e-4  # relative change of gains in an iteration below which the fit has converged
+_MAX_KP_STEP_RATIO = 2.0  # by which an iteration may multiply or divide a kp
+_PRIOR_TORQUE_ERROR = 0.3  # relative standard error of the torque that the prior's bodies exert on a joint
+# In the fit, that error is divided by this. The residual of a real robot is model error rather than noise. A fit that
+# takes it for noise would trust the logs too much.
+_PRIOR_ERROR_DIVISOR = 3.0
+_MIN_RELATIVE_NOISE = 1e-4  # relative to the joint's torque
+_MIN_RESIDUAL_NORM = 1e-12  # norm of a residual, against division by 0 and log(0)
+_DELAY_SLACK = 1e-12  # s; `lsq_linear` needs bounds that differ, also for a given delay
 _TARGET_CLUSTERS = 2 * FEWEST_CLUSTERS
-_ROUNDING = 1e-6  # relative: smaller parts of known values, and smaller singular values, are rounding
-_LEAST_UNEXPLAINED = 1e-3  # share of a gain's column that the others must leave unexplained; less is rounding
-_UNCERTAIN = 0.1  # relative standard error from which a gain is reported
+_RELATIVE_TOLERANCE = 1e-6  # of known values and singular values: smaller ones are rounding
+_MIN_UNEXPLAINED_SHARE = 1e-3  # share of a column that other columns must leave unexplained; less is rounding
+_MAX_RELATIVE_ERROR = 0.1  # standard error of a gain, relative to it, that needs no warning
 
 
 @dataclass(frozen=True)
@@ -102,15 +107,15 @@ class ControllerGains:
     Attributes
     ----------
     kp, kd
-        Fitted gains with their standard errors for a given scale, by joint [N·m/rad, N·m·s/rad].
+        Fitted gains by joint, with standard errors conditional on the scale [N·m/rad or N/m; N·m·s/rad or N·s/m].
     scale_sources
         What fixed the scale, by joint.
     joints_with_friction_in_kd
         Joints whose kd includes viscous friction.
     is_total_mass_known
-        True if the prior has a total mass that was measured.
+        True if known.total_mass is set.
     has_converged
-        False if the last step still changed a gain by more than the tolerance.
+        False if the last iteration still changed a gain by more than the tolerance.
     """
 
     kp: Mapping[str, UncertainValue]
@@ -154,7 +159,7 @@ class ControllerGains:
             advice = "give them, or controller.delay if it is auto, or log faster motions with vcmd"
             notices.append(Notice("controller_gains_uncertain", "warning", "controller", message, advice))
         if not self.has_converged:
-            message = f"the gains still change after {_MOST_STEPS} steps: the logs hardly determine them"
+            message = f"the gains still change after {_MAX_ITERATIONS} iterations: the logs hardly determine them"
             advice = "give one kp, or controller.delay if it is auto"
             notices.append(Notice("controller_gains_not_converged", "warning", "controller", message, advice))
         if self.joints_with_friction_in_kd:
@@ -171,7 +176,7 @@ def _gain_text(gain: UncertainValue) -> str:
 
 def _is_uncertain(gain: UncertainValue) -> bool:
     """True for a gain whose standard error is a large share of it."""
-    return (gain.standard_error or 0.0) > _UNCERTAIN * gain.value
+    return (gain.standard_error or 0.0) > _MAX_RELATIVE_ERROR * gain.value
 
 
 def with_gains(experiment: Experiment, progress: Progress) -> tuple[Experiment, ControllerGains | None]:
@@ -179,12 +184,12 @@ def with_gains(experiment: Experiment, progress: Progress) -> tuple[Experiment, 
 
     Returns
     -------
-    The experiment with numbers for all gains; and the fitted ones, None where all are given.
+    The experiment with the fitted gains in place of unknown ones; and the fitted gains, None if all are given.
 
     Raises
     ------
     ConfigError
-        If the logs cannot tell the gains.
+        If the logs do not determine the gains.
     LogError
         If a joint has no sample that counts.
     """
@@ -192,7 +197,7 @@ def with_gains(experiment: Experiment, progress: Progress) -> tuple[Experiment, 
     gains = tuple(_unknown_gains(experiment))
     if controller is None or not gains:
         return experiment, None
-    _check_model(experiment, gains)
+    _check_model_is_supported(experiment, gains)
     joints_with_friction = _checked_joints_with_friction_in_kd(experiment, gains)
     fit = _GainFit(experiment, gains, progress)
     fitted: dict[GainName, dict[str, UncertainValue]] = {"kp": {}, "kd": {}}
@@ -219,17 +224,20 @@ def with_gains(experiment: Experiment, progress: Progress) -> tuple[Experiment, 
 def _with_fitted_gains(
     controller: Controller, joints: Sequence[str], fitted: Mapping[GainName, Mapping[str, UncertainValue]]
 ) -> Controller:
-    """The controller with fitted gains; joints whose gains are still unknown have none: their torque was logged."""
+    """The controller with fitted gains.
+
+    A joint whose torque was logged throughout has no gains in it if one of them is unknown.
+    """
     kp, kd = {}, {}
     for joint in joints:
-        own_kp, own_kd = controller.kp_of(joint), controller.kd_of(joint)
+        joint_kp, joint_kd = controller.kp_of(joint), controller.kd_of(joint)
         if joint in fitted["kp"]:
-            own_kp = fitted["kp"][joint].value
+            joint_kp = fitted["kp"][joint].value
         if joint in fitted["kd"]:
-            own_kd = fitted["kd"][joint].value
-        # None: not given; NaN: to be fitted, but no log lacks the joint's torque.
-        if own_kp is not None and np.isfinite(own_kp + own_kd):
-            kp[joint], kd[joint] = own_kp, own_kd
+            joint_kd = fitted["kd"][joint].value
+        # None: the joint has no controller; NaN: unknown still, since all logs have the joint's torque.
+        if joint_kp is not None and np.isfinite(joint_kp + joint_kd):
+            kp[joint], kd[joint] = joint_kp, joint_kd
     return controller.model_copy(update={"kp": kp, "kd": kd})
 
 
@@ -249,24 +257,25 @@ def _unknown_gains(experiment: Experiment) -> Iterator[_UnknownGain]:
     """
     controllers = [run.signals.controller for run in experiment.runs if run.train]
     for j in range(experiment.model.joint_count):
-        driving = [controller for controller in controllers if controller.joints[j]]  # of logs without its torque
-        if not driving:
+        # Of the logs in which the joint's torque is computed, not logged:
+        controllers_of_joint = [controller for controller in controllers if controller.joints[j]]
+        if not controllers_of_joint:
             continue
         joint = experiment.equation.joints[j]
-        if np.isnan(driving[0].kp[j, 0]):
+        if np.isnan(controllers_of_joint[0].kp[j, 0]):
             yield _UnknownGain("kp", joint, j)
-        if np.isnan(driving[0].kd[j, 0]):
+        if np.isnan(controllers_of_joint[0].kd[j, 0]):
             yield _UnknownGain("kd", joint, j)
 
 
-def _check_model(experiment: Experiment, gains: Sequence[_UnknownGain]) -> None:
+def _check_model_is_supported(experiment: Experiment, gains: Sequence[_UnknownGain]) -> None:
     """Refuse a model with which gains are not fitted; ConfigError."""
     key = f"controller.{gains[0].name}"
     equation = experiment.equation
     if equation.contacts is not None:
-        raise ConfigError(key, "fit is not for a floating base, contacts or wrench sensors; give a number")
+        raise ConfigError(key, "fit does not support a floating base, contacts or wrench sensors; give a number")
     if equation.has_sensors or any(effect.uses_measured_torque for effect in equation.effects):
-        what = "fit is not for models with effects on the measured torque, or with elastic joints"
+        what = "fit does not support effects on the measured torque or elastic joints"
         raise ConfigError(key, f"{what}; give a number, or remove these effects")
 
 
@@ -286,14 +295,14 @@ def _checked_joints_with_friction_in_kd(experiment: Experiment, gains: Sequence[
     is_delay_given = controller is not None and controller.known_delay is not None
     confounded = [joint for joint in without_command if not is_delay_given or joint in with_viscous_friction]
     if confounded:
-        what = f"without a moving vcmd, fit cannot tell kd of {join_names(confounded)} from viscous friction and delay"
+        what = f"without a moving vcmd, kd of {join_names(confounded)} cannot be told from viscous friction and delay"
         both = "or set friction.viscous: false and give controller.delay; kd then includes viscous friction"
         raise ConfigError("controller.kd", f"{what}; give kd, log vcmd, {both}")
     return tuple(without_command)
 
 
 def _velocity_command_moves(experiment: Experiment, joint: str) -> bool:
-    """True if a log that is fitted has a velocity command of a joint that changes."""
+    """True if the joint's velocity command changes in a log that is fitted."""
     index = experiment.equation.joints.index(joint)
     for run in experiment.runs:
         log = run.signals.log
@@ -352,8 +361,7 @@ class _JointFactor:
     Y
         Columns of all free coefficients, shape (r, n_z).
     unit_torques
-        Of each of the joint's unknown gains, the torque that it would exert if it were 1, at each delay,
-        shape (r, n_d).
+        Torque of each of the joint's unknown gains with a value of 1, at each delay, shape (r, n_d).
     known_torques
         Torque of known gains, or as logged, at each delay, shape (r, n_d).
     sample_count
@@ -372,8 +380,8 @@ class _JointFactor:
                 return np.asarray(torques @ delay_weights)
         return None
 
-    def residual_alone(self, delay_weights: Array) -> float:
-        """Norm of what this joint's own columns leave of qcmd − q or, with known kp, of the known torque."""
+    def independent_residual_norm(self, delay_weights: Array) -> float:
+        """Residual norm of a fit of this joint only, to qcmd − q or, with known kp, to the known torque."""
         position_error = self.unit_torque("kp", delay_weights)
         velocity_error = self.unit_torque("kd", delay_weights)
         known_torque = self.known_torques @ delay_weights
@@ -384,7 +392,7 @@ class _JointFactor:
             target = known_torque
         else:
             target = position_error
-            columns.append(known_torque)  # its factor is 1 / kp
+            columns.append(known_torque)  # its coefficient is −1 / kp
         return float(np.linalg.norm(projected_out(target[:, None], np.column_stack(columns))))
 
 
@@ -418,10 +426,10 @@ class _Linearization(NamedTuple):
     Attributes
     ----------
     columns
-        What multiplies gains and delay, shape (r, n_g + 1). Of kd and delay, the derivative of the controller's torque;
-        of kp, the predicted E, which is the measured one plus residual / kp.
+        Columns of gains and delay, shape (r, n_g + 1). Those of kd and delay are derivatives of the controller's
+        torque. That of kp is the predicted E, which is the measured one plus residual / kp.
     right
-        What does not depend on gains and delay, shape (r,).
+        Part that does not depend on gains and delay, shape (r,).
     residual
         Y z minus the controller's torque at the estimate, shape (r,).
     """
@@ -437,11 +445,11 @@ class _GainFit:
     Attributes
     ----------
     gain_values, standard_errors
-        The gains, and their standard errors for a given scale, shape (n_g,).
+        The gains, and their standard errors conditional on the scale, shape (n_g,).
     constraints
         The constraints of the coefficients, and what fixed the scale.
     has_converged
-        False if the last step still changed a gain by more than the tolerance.
+        False if the last iteration still changed a gain by more than the tolerance.
     """
 
     def __init__(self, experiment: Experiment, gains: Sequence[_UnknownGain], progress: Progress) -> None:
@@ -455,12 +463,12 @@ class _GainFit:
             "fitting the controller gains to",
         )
         total = merge_reductions([log.total for log in data])
-        self._samples_per_independent = sum(f.rows for f in total) / sum(f.independent for f in total)
+        self._redundancy = sum(f.rows for f in total) / sum(f.independent for f in total)
         joints = self._joint_factors(total)
         self.constraints = _Constraints(experiment, gains, [joint.Y for joint in joints])
         estimate = self._initial_estimate(joints)
         self.has_converged = False
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_ITERATIONS):
             previous = estimate
             estimate = self._next_estimate(joints, previous)
             if np.allclose(estimate.gain_values, previous.gain_values, rtol=_GAIN_TOLERANCE, atol=0):
@@ -480,10 +488,10 @@ class _GainFit:
         return joints
 
     def _initial_estimate(self, joints: Sequence[_JointFactor]) -> _Estimate:
-        """The delay with the least residuals of the joints alone, and gains and friction for the prior's bodies."""
+        """The delay that fits best, each joint by itself; then gains and friction with the prior's bodies."""
         delay = self._delays.delays[0]
         if len(self._delays.delays) > 1:
-            delay = minimizing_delay(lambda d: _cost_of_joints_alone(joints, self._delays.weights(d)))
+            delay = minimizing_delay(lambda d: _cost_of_independent_joints(joints, self._delays.weights(d)))
         delay_weights = self._delays.weights(delay)
         z = self.constraints.prior_z.copy()
         gains: dict[_UnknownGain, float] = {}
@@ -497,7 +505,7 @@ class _GainFit:
     def _initial_gains_and_friction(
         self, joint: _JointFactor, own: Indices, delay_weights: Array
     ) -> tuple[dict[GainName, float], Array]:
-        """Unknown gains of a joint, and its own coefficients by index, for the prior's bodies."""
+        """Unknown gains of a joint, and its own coefficients by index, with the bodies fixed to the prior."""
         body_torque = joint.Y @ self.constraints.prior_z
         known_torque = joint.known_torques @ delay_weights
         position_error = joint.unit_torque("kp", delay_weights)
@@ -511,7 +519,7 @@ class _GainFit:
             x, _ = scaled_least_squares(np.column_stack(columns), known_torque - body_torque)
         else:
             if not position_error.any():
-                what = "the position follows its command exactly, so that nothing tells the gain"
+                what = "the position follows its command exactly, so the logs do not determine the gain"
                 raise ConfigError("controller.kp", f"{what}; log the command and the motion that it causes")
             # (body torque − known torque) / kp + Y z / kp − (kd / kp) (vcmd − v) = qcmd − q
             A = np.column_stack([body_torque - known_torque, *columns])
@@ -543,8 +551,8 @@ class _GainFit:
         right = known_torque - torque_slope * estimate.delay
         for i, gain, value in own:
             if gain.name == "kp":
-                # kp · predicted E = kp · E + residual. What this adds at the estimate is taken from the right side, so
-                # that the equation has the same residual there.
+                # The predicted E in place of the measured one adds `residual` to the torque at the estimate. The same
+                # is subtracted here, so that the residual at the estimate is unchanged.
                 columns[:, i] += residual / value
                 right = right - residual
         return _Linearization(columns, right, residual)
@@ -555,25 +563,26 @@ class _GainFit:
         for joint in joints:
             residual = float(np.linalg.norm(self._linearized(joint, estimate).residual))
             torque = float(np.linalg.norm(joint.Y @ estimate.z))
-            largest = max(residual, _LEAST_NOISE * torque, _LEAST_RESIDUAL)
-            noise.append(largest / np.sqrt(max(joint.sample_count, 1.0)))
+            norm = max(residual, _MIN_RELATIVE_NOISE * torque, _MIN_RESIDUAL_NORM)
+            noise.append(norm / np.sqrt(max(joint.sample_count, 1.0)))
         return np.array(noise)
 
     def _system(
         self, joints: Sequence[_JointFactor], estimate: _Estimate, noise: Array, with_soft: bool
     ) -> tuple[Array, Array, Array, Array]:
-        """Y over z, columns, right side and residual of `_linearized`: rows of all joints in units of their noise.
+        """Y, columns, right side and residual of `_linearized`: rows of all joints in units of their noise.
 
-        Soft constraints are rows with columns of 0.
+        The rows of soft constraints have zeros in the columns of gains and delay.
         """
         parts = []
         for joint, sigma in zip(joints, noise, strict=True):
             parts.append((joint.Y / sigma, *(part / sigma for part in self._linearized(joint, estimate))))
         if with_soft:
-            # Correlated samples count as often as there are, so a soft row counts as often as an independent one.
+            # Samples are correlated, so the rows of data overstate their information by the redundancy. Soft rows are
+            # multiplied likewise, so that their weight relative to the data is right.
             soft = self.constraints.soft()
-            count = np.sqrt(self._samples_per_independent)
-            soft_rows, values = count * soft.rows, count * soft.values
+            soft_row_scale = np.sqrt(self._redundancy)
+            soft_rows, values = soft_row_scale * soft.rows, soft_row_scale * soft.values
             no_gains = np.zeros((len(values), len(self._gains) + 1))
             parts.append((soft_rows, no_gains, values, soft_rows @ estimate.z - values))
         Y, columns, right, residual = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -586,19 +595,19 @@ class _GainFit:
         exact = self.constraints.exact(noise)
         # Y (z0 + N y) = columns · (gains, delay) + right
         target = right - Y @ exact.z0
-        Y_of_y = Y @ exact.N
+        Y_N = Y @ exact.N
         is_bounded = np.isfinite(exact.lower)
-        bounded, unbounded = Y_of_y[:, is_bounded], Y_of_y[:, ~is_bounded]
+        bounded, unbounded = Y_N[:, is_bounded], Y_N[:, ~is_bounded]
         bounded_count = bounded.shape[1]
 
-        # First bounded y, gains and delay, from rows without what unbounded y can explain; then unbounded y.
+        # Eliminate unbounded y by projecting out its columns; solve for the others within bounds; substitute back.
         A = np.column_stack([bounded, -columns])
         lower_of_gains, upper_of_gains = self._bounds_of_gains_and_delay(estimate)
         lower = np.concatenate([exact.lower[is_bounded], lower_of_gains])
         upper = np.concatenate([np.full(bounded_count, np.inf), upper_of_gains])
-        without_unbounded = projected_out(np.column_stack([A, target]), unbounded)
-        x = _bounded_least_squares(without_unbounded, lower, upper)
-        y = np.zeros(Y_of_y.shape[1])
+        projected_rows = projected_out(np.column_stack([A, target]), unbounded)
+        x = _bounded_least_squares(projected_rows, lower, upper)
+        y = np.zeros(Y_N.shape[1])
         y[is_bounded], gains_and_delay = np.split(x, [bounded_count])
         y[~is_bounded], _ = scaled_least_squares(unbounded, target - A @ x)
         *gain_values, delay = gains_and_delay.tolist()
@@ -610,8 +619,8 @@ class _GainFit:
         lower, upper = [], []
         for gain, value in estimate.gains.items():
             is_kp = gain.name == "kp"
-            lower.append(value / _MOST_KP_RATIO if is_kp else 0.0)
-            upper.append(value * _MOST_KP_RATIO if is_kp else np.inf)
+            lower.append(value / _MAX_KP_STEP_RATIO if is_kp else 0.0)
+            upper.append(value * _MAX_KP_STEP_RATIO if is_kp else np.inf)
         is_given = len(self._delays.delays) == 1
         lower.append(estimate.delay - _DELAY_SLACK if is_given else 0.0)
         upper.append(estimate.delay + _DELAY_SLACK if is_given else MAX_DELAY)
@@ -620,68 +629,74 @@ class _GainFit:
     def _standard_errors(self, data: Sequence[Blocks], total: Reduction, estimate: _Estimate) -> Array:
         """Standard errors of the gains, shape (n_g,).
 
-        The variance is H⁻¹ S H⁻¹ with H = X' X. X are the columns of gains and delay less what coefficients explain of
-        them, and S is the covariance of the scores X' residual. S is taken once from the number of independent samples
+        The variance is H⁻¹ S H⁻¹ with H = X' X. X are the columns of gains and delay after those of the coefficients
+        are projected out, and S is the covariance of the scores X' residual. S is computed once for independent samples
         and once from the scatter of scores between clusters of time. The larger variance counts.
         """
         joints = self._joint_factors(total)
         noise = self._noise(joints, estimate)
         N = self.constraints.exact(noise).N
         Y, columns, _, _ = self._system(joints, estimate, noise, with_soft=True)
-        explaining_y, rank = scaled_least_squares(Y @ N, columns)  # shape (n_y, n_g + 1)
-        unexplained = columns - Y @ N @ explaining_y
-        size = np.linalg.norm(columns, axis=0)
-        self._check_determined(unexplained, size)
-        is_fitted = np.linalg.norm(unexplained, axis=0) > _LEAST_UNEXPLAINED * size  # not a given delay
-        X = unexplained[:, is_fitted]
-        inverse = np.linalg.inv(X.T @ X)
+        coefficients_of_columns_y, rank = scaled_least_squares(Y @ N, columns)  # shape (n_y, n_g + 1)
+        projected_columns = columns - Y @ N @ coefficients_of_columns_y
+        column_norms = np.linalg.norm(columns, axis=0)
+        self._check_determined(projected_columns, column_norms)
+        # Not a given delay, whose column is 0, nor one that the coefficients explain:
+        is_determined = np.linalg.norm(projected_columns, axis=0) > _MIN_UNEXPLAINED_SHARE * column_norms
+        X = projected_columns[:, is_determined]
+        H_inverse = np.linalg.inv(X.T @ X)
 
         soft = self.constraints.soft()
         X_of_data, X_of_soft = np.split(X, [len(X) - len(soft.values)])
-        covariance_of_data = self._samples_per_independent * (X_of_data.T @ X_of_data)
-        # `_system` multiplies a soft row by this factor over its standard error, and so its deviation.
-        deviation = soft.weights * np.sqrt(self._samples_per_independent)
-        X_times_deviation = X_of_soft * deviation[:, None]
-        covariance_of_soft = X_times_deviation.T @ X_times_deviation
-        variance = np.diag(inverse @ (covariance_of_data + covariance_of_soft) @ inverse)
+        covariance_of_data = self._redundancy * (X_of_data.T @ X_of_data)
+        # In `_system`, the error of a soft row has this standard deviation.
+        scaled_row_error = soft.error_divisors * np.sqrt(self._redundancy)
+        X_times_row_error = X_of_soft * scaled_row_error[:, None]
+        covariance_of_soft = X_times_row_error.T @ X_times_row_error
+        variance = np.diag(H_inverse @ (covariance_of_data + covariance_of_soft) @ H_inverse)
 
-        scores = self._scores_of_clusters(data, estimate, noise, N @ explaining_y, is_fitted)
+        scores = self._scores_of_clusters(data, estimate, noise, N @ coefficients_of_columns_y, is_determined)
         if len(scores) >= FEWEST_CLUSTERS:
             scatter = np.atleast_2d(len(scores) * np.cov(np.transpose(scores)))
             covariance_of_clusters = scatter / freedom_left(total, rank)
-            robust = np.diag(inverse @ (covariance_of_clusters + covariance_of_soft) @ inverse)
+            robust = np.diag(H_inverse @ (covariance_of_clusters + covariance_of_soft) @ H_inverse)
             variance = np.maximum(variance, robust)
         return np.asarray(np.sqrt(variance[: len(self._gains)]))  # without that of the delay
 
     def _scores_of_clusters(
-        self, data: Sequence[Blocks], estimate: _Estimate, noise: Array, explaining_z: Array, is_fitted: Mask
+        self,
+        data: Sequence[Blocks],
+        estimate: _Estimate,
+        noise: Array,
+        coefficients_of_columns: Array,
+        is_determined: Mask,
     ) -> list[Array]:
         """X' residual of each cluster of time, see `_standard_errors`, without soft constraints."""
         scores = []
         blocks_per_cluster = max(sum(map(len, data)) // _TARGET_CLUSTERS, 1)
-        for log in data:
-            for cluster in log.regrouped(blocks_per_cluster).parts:
+        for blocks_of_log in data:
+            for cluster in blocks_of_log.regrouped(blocks_per_cluster).parts:
                 joints = self._joint_factors(cluster)
                 Y, columns, _, residual = self._system(joints, estimate, noise, with_soft=False)
-                X = (columns - Y @ explaining_z)[:, is_fitted]
+                X = (columns - Y @ coefficients_of_columns)[:, is_determined]
                 scores.append(X.T @ residual)
         return scores
 
-    def _check_determined(self, unexplained: Array, size: Array) -> None:
-        """Refuse gains whose columns the others explain; ConfigError."""
+    def _check_determined(self, projected_columns: Array, column_norms: Array) -> None:
+        """Refuse a gain whose column those of coefficients, other gains and delay explain; ConfigError."""
         for i, gain in enumerate(self._gains):
-            others = np.delete(unexplained, i, axis=1)
-            own = projected_out(unexplained[:, [i]], others)
-            if np.linalg.norm(own) <= _LEAST_UNEXPLAINED * size[i]:
-                what = f"the logs do not tell {gain.name} of {gain.joint} from the coefficients of the model"
+            others = np.delete(projected_columns, i, axis=1)
+            unexplained = projected_out(projected_columns[:, [i]], others)
+            if np.linalg.norm(unexplained) <= _MIN_UNEXPLAINED_SHARE * column_norms[i]:
+                what = f"the logs do not determine {gain.name} of {gain.joint} beside the other unknowns of the model"
                 raise ConfigError(f"controller.{gain.name}", f"{what}; give a number, or log other motions")
 
 
-def _cost_of_joints_alone(joints: Sequence[_JointFactor], delay_weights: Array) -> float:
-    """Negative log likelihood of the joints by themselves."""
+def _cost_of_independent_joints(joints: Sequence[_JointFactor], delay_weights: Array) -> float:
+    """Negative log likelihood, up to a constant, with each joint fitted by itself."""
     cost = 0.0
     for joint in joints:
-        cost += joint.sample_count * float(np.log(joint.residual_alone(delay_weights) + _LEAST_RESIDUAL))
+        cost += joint.sample_count * float(np.log(joint.independent_residual_norm(delay_weights) + _MIN_RESIDUAL_NORM))
     return cost
 
 
@@ -719,14 +734,14 @@ class _SoftConstraints(NamedTuple):
     Attributes
     ----------
     rows, values
-        Both sides times weight / standard error, shapes (n, n_z) and (n,).
-    weights
-        How many times more each counts in the fit than its standard error tells, shape (n,).
+        Both sides times divisor / standard error, shapes (n, n_z) and (n,).
+    error_divisors
+        Divisor of the standard error in the fit, shape (n,): 1 for measured values.
     """
 
     rows: Array
     values: Array
-    weights: Array
+    error_divisors: Array
 
 
 class _Constraints:
@@ -760,45 +775,47 @@ class _Constraints:
                     self._sets_scaled_by_prior.append(coupled)
         prior_theta = _prior_theta(experiment, fixes_scale=bool(self._sets_scaled_by_prior))
         self.prior_z = np.where(self.is_not_of_body, 0.0, prior_theta[free])
-        # Of each joint: (Y_b b0)' Y_b, which b multiplies, and |Y_b b0|².
-        self._prior_torque_products: list[Array] = []
-        self._prior_torques_squared: list[float] = []
+        # Left and right side of the prior's equation, joint by joint: (Y_b b0)' Y_b, and |Y_b b0|².
+        self._scale_rows: list[Array] = []
+        self._scale_values: list[float] = []
         for Y in Y_of_joints:
             prior_torque = Y @ self.prior_z
             product = np.where(self.is_not_of_body, 0.0, Y.T @ prior_torque)
-            self._prior_torque_products.append(product)
-            self._prior_torques_squared.append(float(product @ self.prior_z))
-        self._with_unknown_kp = [gain.joint_index for gain in gains if gain.name == "kp"]
-        for j in self._with_unknown_kp:
-            if not self._prior_torques_squared[j] > 0:
+            self._scale_rows.append(product)
+            self._scale_values.append(float(product @ self.prior_z))
+        self._joints_with_unknown_kp = [gain.joint_index for gain in gains if gain.name == "kp"]
+        for j in self._joints_with_unknown_kp:
+            if not self._scale_values[j] > 0:
                 joint = experiment.equation.joints[j]
-                what = f"the URDF's bodies exert no torque on {joint}, so that nothing tells the scale of its gains"
+                what = f"the URDF's bodies exert no torque on {joint}, so they do not determine the scale of its gains"
                 raise ConfigError("controller.kp", f"{what}; give its kp, or correct the URDF's masses")
 
     def soft(self) -> _SoftConstraints:
-        """Measured values, and that the torque of each joint with unknown kp has the size of the prior's."""
+        """Measured values; and for each joint with unknown kp, the equation of the prior for this joint alone."""
         measured = self._equalities.soft_rows()
         rows = [*(measured[:, :-1] @ self._equalities.K)]
         values = measured[:, -1].tolist()
-        row_factor = _PRIOR_WEIGHT / _PRIOR_ERROR
-        for j in self._with_unknown_kp:
-            rows.append(row_factor * self._prior_torque_products[j] / self._prior_torques_squared[j])
-            values.append(row_factor)
-        weights = np.concatenate([np.ones(len(measured)), np.full(len(self._with_unknown_kp), _PRIOR_WEIGHT)])
-        return _SoftConstraints(np.array(rows).reshape(-1, len(self.prior_z)), np.array(values), weights)
+        inverse_error = _PRIOR_ERROR_DIVISOR / _PRIOR_TORQUE_ERROR
+        for j in self._joints_with_unknown_kp:
+            rows.append(inverse_error * self._scale_rows[j] / self._scale_values[j])
+            values.append(inverse_error)
+        of_prior = np.full(len(self._joints_with_unknown_kp), _PRIOR_ERROR_DIVISOR)
+        divisors = np.concatenate([np.ones(len(measured)), of_prior])
+        return _SoftConstraints(np.array(rows).reshape(-1, len(self.prior_z)), np.array(values), divisors)
 
     def exact(self, noise: Array) -> _ExactConstraints:
         """The coefficients that satisfy the exact constraints, with the joints weighted by their noise, shape (nv,)."""
         constraint_rows = [constraint.row @ self._equalities.K for constraint in self._equalities.hard]
         values = [constraint.value for constraint in self._equalities.hard]
         for joints in self._sets_scaled_by_prior:
-            constraint_rows.append(np.sum([self._prior_torque_products[j] / noise[j] ** 2 for j in joints], axis=0))
-            values.append(sum(self._prior_torques_squared[j] / noise[j] ** 2 for j in joints))
+            constraint_rows.append(np.sum([self._scale_rows[j] / noise[j] ** 2 for j in joints], axis=0))
+            values.append(sum(self._scale_values[j] / noise[j] ** 2 for j in joints))
         C = np.array(constraint_rows).reshape(-1, len(self.prior_z))
         size = np.linalg.norm(C, axis=1)
         C, right = C / size[:, None], np.array(values) / size
         N = null_space(C)
-        # Coefficients that no constraint contains are the first elements of y, in their order. Only they are bounded.
+        # The first columns of `null_space` are the coefficients that no constraint contains, in their order. Only these
+        # keep their bounds.
         is_unconstrained = ~C.any(axis=0)
         lower = np.full(N.shape[1], -np.inf)
         lower[: np.count_nonzero(is_unconstrained)] = self.lower[is_unconstrained]
@@ -812,21 +829,21 @@ def _coupled_joints(experiment: Experiment) -> list[list[int]]:
     for j, columns in enumerate(experiment.equation.active()):
         free = set(np.flatnonzero(experiment.equalities.K[columns].any(axis=0)).tolist())
         joints = {j}
-        apart = []
+        uncoupled = []
         for other_joints, other_free in sets:
             if free & other_free:
                 joints |= other_joints
                 free |= other_free
             else:
-                apart.append((other_joints, other_free))
-        sets = [*apart, (joints, free)]
+                uncoupled.append((other_joints, other_free))
+        sets = [*uncoupled, (joints, free)]
     return [sorted(joints) for joints, _ in sets]
 
 
 def _scale_source(experiment: Experiment, joints: Sequence[int]) -> ScaleSource:
     """Source of the scale of a set of coupled joints."""
     controllers = [run.signals.controller for run in experiment.runs if run.train]
-    if any(not controller.joints[j] for controller in controllers for j in joints):  # none for a logged torque
+    if any(not controller.joints[j] for controller in controllers for j in joints):  # False: the log has the torque
         return "logged_torque"
     if any(_has_given_gain(experiment, controller, j) for controller in controllers for j in joints):
         return "given_gain"
@@ -836,7 +853,7 @@ def _scale_source(experiment: Experiment, joints: Sequence[int]) -> ScaleSource:
 
 
 def _has_given_gain(experiment: Experiment, controller: JointController, j: int) -> bool:
-    """True if kp of a joint is given, or kd with a moving vcmd; without one, friction can make up for kd."""
+    """True if kp of a joint is given, or kd with a moving vcmd; without one, kd cannot be told from friction."""
     if controller.kp[j, 0] > 0:
         return True
     joint = experiment.equation.joints[j]
@@ -844,10 +861,7 @@ def _has_given_gain(experiment: Experiment, controller: JointController, j: int)
 
 
 def _known_values_determine_scale(experiment: Experiment, joints: Sequence[int]) -> bool:
-    """True if known values rule out that all torques of a set of joints are 0, and so fix the scale.
-
-    They do not if coefficients without any torque can have all of these values.
-    """
+    """True if known values fix the scale of a set of joints: if no z without torque satisfies all of them."""
     active = np.unique(np.concatenate([experiment.equation.active()[j] for j in joints]))
     K = experiment.equalities.K
     constraint_rows, values = [], []
@@ -858,15 +872,15 @@ def _known_values_determine_scale(experiment: Experiment, joints: Sequence[int])
             constraint_rows.append(row / size)
             values.append(constraint.value / size)
     if not any(values):
-        return False  # z = 0 has them
+        return False  # z = 0 satisfies all of them
     base = structural_base_parameters(experiment.model, experiment.equation, experiment.equalities)
     B = base.B @ K
-    without_torque = null_space(B / np.linalg.norm(B, axis=1)[:, None])  # directions of z
-    changes = np.array(constraint_rows) @ without_torque  # of the known values, along these directions
+    zero_torque_directions = null_space(B / np.linalg.norm(B, axis=1)[:, None])  # of z
     known = np.array(values)
-    steps = np.linalg.lstsq(changes, known, rcond=_ROUNDING)[0]
-    unreached = known - changes @ steps
-    return bool(np.linalg.norm(unreached) > _ROUNDING * np.linalg.norm(known))
+    known_of_directions = np.array(constraint_rows) @ zero_torque_directions
+    combination = np.linalg.lstsq(known_of_directions, known, rcond=_RELATIVE_TOLERANCE)[0]
+    mismatch = known - known_of_directions @ combination
+    return bool(np.linalg.norm(mismatch) > _RELATIVE_TOLERANCE * np.linalg.norm(known))
 
 
 def _prior_theta(experiment: Experiment, fixes_scale: bool) -> Array:
@@ -874,6 +888,6 @@ def _prior_theta(experiment: Experiment, fixes_scale: bool) -> Array:
     no_data = empty(experiment.equation.active())
     prior = prior_bodies(experiment.config, experiment.model, experiment.equation, no_data)
     if fixes_scale and prior.placeholders and experiment.config.known.total_mass is None:
-        what = f"the logs tell gains only relative to masses, and the URDF's of {join_names(prior.placeholders)}"
+        what = f"the logs determine gains only relative to masses, and the URDF's of {join_names(prior.placeholders)}"
         raise ConfigError("controller.kp", f"{what} are placeholders; set known.total_mass, or give one kp")
     return prior.equation.prior

@@ -173,13 +173,13 @@ def test_standard_errors_are_those_of_noise() -> None:
 
 
 def test_a_search_that_has_not_converged_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(controller_gains, "_MOST_STEPS", 1)
+    monkeypatch.setattr(controller_gains, "_MAX_ITERATIONS", 1)
     assert "controller_gains_not_converged" in {notice.code for notice in fitted_gains(FIT, **SHANK).notices}
 
 
 def test_kd_is_not_told_from_viscous_friction_without_a_velocity_command() -> None:
     for controller, options in ((FIT, {}), ({**FIT, "delay": "auto"}, {"friction": {"viscous": False}})):
-        with pytest.raises(ConfigError, match=r"without a moving vcmd, fit cannot tell kd of abad, hip, knee"):
+        with pytest.raises(ConfigError, match=r"without a moving vcmd, kd of abad, hip, knee cannot be told from"):
             fitted_gains(controller, log_without_velocity_command(), **options)
     gains = fitted_gains(
         {**FIT, "kp": 300.0}, log_without_velocity_command(), friction={"viscous": False, "coulomb": True}
