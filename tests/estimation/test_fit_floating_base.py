@@ -326,6 +326,12 @@ def test_short_log_is_refused_in_one_line(folder: Path, tmp_path: Path) -> None:
         idtool.fit(model, tmp_path / "log.csv", quick=True)
 
 
+def test_a_fleet_needs_a_fixed_base(folder: Path) -> None:
+    model = idtool.Model(folder / "prior.urdf", config=settings("unknown", pool={"own": "friction"}))
+    with pytest.raises(ConfigError, match="pool needs a fixed base"):
+        idtool.fit(model, [folder / "stand.csv", folder / "hang.csv"])
+
+
 def test_tilt_of_gravity_is_for_a_fixed_base(folder: Path) -> None:
     tilt = {"effect": "gravity_tilt", "parameters": {"gravity": [1.0, 0.0, -9.7]}}
     model = idtool.Model(folder / "prior.urdf", config=settings("unknown", effects=[tilt]))
