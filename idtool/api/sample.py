@@ -33,8 +33,9 @@ def sample(name: SampleName, out: str | os.PathLike[str] = FOLDER, *, force: boo
     Parameters
     ----------
     name
-        ``leg`` and ``belt_arm`` are robots, each with a configuration, logs to fit and logs to validate. ``hidden`` is
-        a leg with a spring or a payload that its model lacks. ``pair`` is an arm and its simulator.
+        ``leg`` and ``belt_arm`` are robots, each with a configuration, logs to fit and logs to validate. ``quadruped``
+        has an IMU, and stands, walks and hangs. ``hidden`` is a leg with a spring or a payload that its model lacks.
+        ``pair`` is an arm and its simulator.
     out
         The folder, which may contain other files.
     force

@@ -39,7 +39,8 @@ class Sample:
             If idtool was installed without its samples.
         """
         folder = sample_folder()
-        paths = sorted(path for pattern in self.patterns for path in folder.glob(pattern))
+        found = sorted(path for pattern in self.patterns for path in folder.glob(pattern))
+        paths = [path for path in found if path.is_file()]  # in a checkout, results may be beside them
         return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
     def command(self, folder: Path) -> str:
@@ -66,7 +67,7 @@ _SAMPLES: dict[SampleName, Sample] = {
         "idtool diagnose {}/pair/arm.urdf {}/pair/robot/run1.csv --against {}/pair/simulator",
     ),
     "quadruped": Sample(
-        ("quadruped/*",),
+        ("quadruped/quadruped.*", "quadruped/true.urdf", "quadruped/*.csv"),
         "idtool fit {}/quadruped/quadruped.urdf {}/quadruped/stand.csv {}/quadruped/walk.csv "
         "{}/quadruped/hang.csv --quick",
     ),

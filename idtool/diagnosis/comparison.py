@@ -501,7 +501,7 @@ def _pair_notices(pairs: Sequence[LogPair], units: Mapping[str, str]) -> Iterato
 
 
 def _simulator_notices(simulator: Diagnosis) -> Iterator[Notice]:
-    """Notices about a simulator whose logs have faults, or show other bodies than the model's."""
+    """Notices about a simulator whose logs have faults, or show what a simulator of the URDF cannot have."""
     for fault in simulator.faults:
         if fault.severity != "note":
             if fault.code in _IN_ROBOT_LOGS_ONLY:
@@ -524,7 +524,7 @@ def _simulator_notices(simulator: Diagnosis) -> Iterator[Notice]:
 def _is_foreign_to_simulators(effect: NamedEffect, model: RobotModel) -> bool:
     """True for other bodies, another gravity or a torque gain: a simulator of the URDF has none of them."""
     mechanism = mechanism_of(effect, model)
-    has_other_bodies = bool(mechanism.pi.any()) or mechanism.model is not model
+    has_other_bodies = bool(mechanism.pi.any())
     is_tilted = bool((mechanism.gravity != model.gravity).any())
     return has_other_bodies or is_tilted or _scales_torque(mechanism)
 

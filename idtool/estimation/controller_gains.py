@@ -202,6 +202,8 @@ def with_gains(experiment: Experiment, progress: Progress) -> tuple[Experiment, 
     fit = _GainFit(experiment, gains, progress)
     fitted: dict[GainName, dict[str, UncertainValue]] = {"kp": {}, "kd": {}}
     for gain, value, error in zip(gains, fit.gain_values.tolist(), fit.standard_errors.tolist(), strict=True):
+        if gain.name == "kp" and not error < value:
+            raise _undetermined_error(gain)
         fitted[gain.name][gain.joint] = UncertainValue(value=value, standard_error=error)
     completed = _with_fitted_gains(controller, experiment.equation.joints, fitted)
     config = experiment.config.model_copy(update={"controller": completed})
@@ -463,7 +465,7 @@ class _GainFit:
             "fitting the controller gains to",
         )
         total = merge_reductions([log.total for log in data])
-        self._redundancy = sum(f.rows for f in total) / sum(f.independent for f in total)
+        self._redundancy = sum(factor.rows for factor in total) / sum(factor.independent for factor in total)
         joints = self._joint_factors(total)
         self.constraints = _Constraints(experiment, gains, [joint.Y for joint in joints])
         estimate = self._initial_estimate(joints)
@@ -688,8 +690,13 @@ class _GainFit:
             others = np.delete(projected_columns, i, axis=1)
             unexplained = projected_out(projected_columns[:, [i]], others)
             if np.linalg.norm(unexplained) <= _MIN_UNEXPLAINED_SHARE * column_norms[i]:
-                what = f"the logs do not determine {gain.name} of {gain.joint} beside the other unknowns of the model"
-                raise ConfigError(f"controller.{gain.name}", f"{what}; give a number, or log other motions")
+                raise _undetermined_error(gain)
+
+
+def _undetermined_error(gain: _UnknownGain) -> ConfigError:
+    """Error about a gain that the logs do not determine."""
+    what = f"the logs do not determine {gain.name} of {gain.joint} beside the other unknowns of the model"
+    return ConfigError(f"controller.{gain.name}", f"{what}; give a number, or log other motions")
 
 
 def _cost_of_independent_joints(joints: Sequence[_JointFactor], delay_weights: Array) -> float:

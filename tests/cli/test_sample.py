@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 from pathlib import Path
 from unittest import mock
 
@@ -36,6 +37,16 @@ def test_all_samples_together_are_all_files_but_the_scripts_and_the_manifest(tmp
         assert idtool("sample", name, "--out", tmp_path).code == 0
     left_out = {path for path in files(SAMPLES) if path.endswith((".py", ".pyc"))} | {"manifest.yaml"}
     assert set(files(tmp_path)) == set(files(SAMPLES)) - left_out
+
+
+def test_results_beside_the_files_of_a_sample_are_no_part_of_it(tmp_path: Path) -> None:
+    """As of a fit in the folder of a checkout."""
+    shutil.copytree(SAMPLES / "quadruped", tmp_path / "all" / "quadruped")
+    (tmp_path / "all" / "quadruped" / "quadruped_idtool").mkdir()
+    (tmp_path / "all" / "quadruped" / "drafted.yaml").write_text("{}")
+    with mock.patch.object(samples, "sample_folder", return_value=tmp_path / "all"):
+        found = samples.find_sample("quadruped").files()
+    assert set(found) == {f"quadruped/{path}" for path in files(SAMPLES / "quadruped")}
 
 
 def test_other_files_of_the_folder_stay(tmp_path: Path) -> None:

@@ -146,6 +146,13 @@ def test_given_gain_of_one_joint_is_the_scale_of_all(kd: Any) -> None:
     assert [gain.value for gain in gains.kd.values()] == pytest.approx(KD[: len(gains.kd)], rel=0.02)
 
 
+def test_given_kd_of_one_joint_is_the_scale_of_all() -> None:
+    gains = fitted_gains({**FIT, "kd": {"abad": float(KD[0]), "hip": "fit", "knee": "fit"}})
+    assert set(gains.scale_sources.values()) == {"given_gain"}
+    assert values(gains.kp) == pytest.approx(KP, rel=0.02)
+    assert [gain.value for gain in gains.kd.values()] == pytest.approx(KD[1:], rel=0.02)
+
+
 def test_logged_torque_of_one_joint_is_the_scale_of_all() -> None:
     signals = log().signals
     tau = np.full_like(signals["q"], np.nan)
@@ -170,6 +177,27 @@ def test_standard_errors_are_those_of_noise() -> None:
         expected = np.sqrt(np.mean(np.square(errors), axis=0))
         assert (scatter / expected < 1.8).all()  # 8 values tell it to 25 %
         assert (scatter / expected > 0.2).all()  # errors of the model count too
+
+
+def test_errors_contain_the_prior_s_where_it_tells_the_scale_of_a_joint() -> None:
+    """In one second, the abad joint hardly moves: its scale relative to the others is a prior's of 30 %."""
+    gains = fitted_gains(FIT, noisy(position_controlled(shell(1.0), DELAY), 1))
+    assert all(gain.standard_error is not None for gain in gains.kp.values())
+    abad, _, knee = (gains.kp[name].standard_error / gains.kp[name].value for name in JOINTS)  # type: ignore[operator]
+    assert 0.1 < abad < 0.35
+    assert knee < 0.03
+    assert "controller_gains_uncertain" in {notice.code for notice in gains.notices}
+
+
+def test_gains_that_logs_do_not_determine_are_refused() -> None:
+    recorded = log()
+    ideal = replace(recorded, signals={**recorded.signals, "qcmd": recorded.signals["q"]})
+    with pytest.raises(ConfigError, match=r"controller.kp: the logs do not determine kp of abad"):
+        fitted_gains(FIT, ideal)
+    with pytest.raises(ConfigError, match=r"the position follows its command exactly"):
+        fitted_gains({**FIT, "delay": 0.0}, ideal)
+    with pytest.raises(ConfigError, match=r"controller.kp: the logs do not determine kp of hip"):
+        fitted_gains(FIT, noisy(position_controlled(shell(0.3), DELAY), 1))
 
 
 def test_a_search_that_has_not_converged_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
