@@ -11,6 +11,7 @@ from idtool.api.notebook import Displayable, shows_progress
 from idtool.api.results import Progress, SavableResult, ignore_progress, notice_lines, table_lines
 from idtool.common.number_text import number, short_number
 from idtool.common.outputs import as_json
+from idtool.common.threads import with_single_threaded_blas
 from idtool.reporting.adaptation_report import adaptation_report
 from idtool.reporting.results.adaptation import AdaptationReport
 
@@ -45,6 +46,7 @@ class AdaptationResult(AdaptationReport, SavableResult, Displayable):
 
 
 @shows_progress
+@with_single_threaded_blas
 def adapt(
     model: Model | Source, logs: Logs, *, forgetting: float = 20.0, progress: Progress | None = None
 ) -> AdaptationResult:

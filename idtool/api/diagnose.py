@@ -28,6 +28,7 @@ from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import printable, without_secrets
 from idtool.common.number_text import number
 from idtool.common.outputs import as_json, as_yaml
+from idtool.common.threads import with_single_threaded_blas
 from idtool.data.logs import read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.pairing import check_joints, paired_paths
@@ -124,6 +125,7 @@ class DiagnosisResult(DiagnosisReport, SavableResult, Recordable, Displayable):
 
 
 @shows_progress
+@with_single_threaded_blas
 def diagnose(
     model: Model | Source,
     logs: Logs,

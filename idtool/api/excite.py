@@ -23,6 +23,7 @@ from idtool.common.names import join_names, suggestion
 from idtool.common.notice import Notice
 from idtool.common.number_text import number
 from idtool.common.outputs import write_all
+from idtool.common.threads import with_single_threaded_blas
 from idtool.data.controller import with_unknown_torque
 from idtool.data.logs import JointLog, check_log_file, write_log
 from idtool.dynamics.armature import with_armature
@@ -119,6 +120,7 @@ class ExcitationResult(ExcitationReport, Displayable):
 
 
 @shows_progress
+@with_single_threaded_blas
 def excite(
     model: Model | Source,
     *,

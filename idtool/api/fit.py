@@ -18,6 +18,7 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.number_text import number, short_number
 from idtool.common.outputs import as_json, as_yaml
 from idtool.common.processes import Background, in_processes
+from idtool.common.threads import with_single_threaded_blas
 from idtool.common.units import units_text
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.dataset.training_sample import training_sample
@@ -137,6 +138,7 @@ def _model_files(fit: Fit, folder: Path) -> dict[str, str | bytes]:
 
 
 @shows_progress
+@with_single_threaded_blas
 def fit(
     model: Model | Source,
     logs: Logs,

@@ -15,6 +15,7 @@ from idtool.api.results import Progress, ignore_progress, notice_lines
 from idtool.common.names import stem
 from idtool.common.outputs import OutputError, check_file, write_all
 from idtool.common.safe_yaml import read_yaml
+from idtool.common.threads import with_single_threaded_blas
 from idtool.common.urls import log_path
 from idtool.data.robot_source import read_robot_and_logs
 from idtool.reporting.results.base import notice_fields
@@ -72,6 +73,7 @@ class InitResult(InitReport, Displayable):
 
 
 @shows_progress
+@with_single_threaded_blas
 def init(
     urdf: Source,
     logs: Source | Sequence[Source] = (),

@@ -14,6 +14,7 @@ from idtool.api.results import Progress, ignore_progress, notice_lines
 from idtool.common.exceptions import ConfigError
 from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.common.outputs import check_file
+from idtool.common.threads import with_single_threaded_blas
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.distributed_reduction import remove_reductions
 from idtool.estimation.reduced_experiment import ReducedExperiment, merged_reduction, save_reduction
@@ -42,6 +43,7 @@ class ReductionResult(ReductionReport, Displayable):
 
 
 @shows_progress
+@with_single_threaded_blas
 def reduce(
     model: Model | Source,
     logs: Logs,

@@ -22,6 +22,7 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.notice import Notice
 from idtool.common.number_text import number, short_number
 from idtool.common.outputs import OutputError
+from idtool.common.threads import with_single_threaded_blas
 from idtool.common.units import position_units, units_text
 from idtool.data.logs import check_log_file, log_suffixes, write_log
 from idtool.estimation.dataset.experiment import NOT_SIMULATED, Experiment
@@ -183,6 +184,7 @@ class SimulationResult(Recordable, Displayable):
 
 
 @shows_progress
+@with_single_threaded_blas
 def simulate(
     model: Model | Source,
     log: LogSource,

@@ -14,6 +14,7 @@ from idtool.api.results import Progress, SavableResult, ignore_progress, notice_
 from idtool.common.exceptions import ConfigError
 from idtool.common.number_text import number
 from idtool.common.outputs import as_json
+from idtool.common.threads import with_single_threaded_blas
 from idtool.common.units import units_text
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.evaluation.torque_errors import Evaluation
@@ -57,6 +58,7 @@ class StudyResult(StudyReport, SavableResult, Displayable):
 
 
 @shows_progress
+@with_single_threaded_blas
 def study(
     model: Model | Source,
     logs: Logs,

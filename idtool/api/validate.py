@@ -19,6 +19,7 @@ from idtool.common.exceptions import ConfigError
 from idtool.common.names import suggestion
 from idtool.common.number_text import number
 from idtool.common.outputs import as_json
+from idtool.common.threads import with_single_threaded_blas
 from idtool.common.units import units_text
 from idtool.estimation.dataset.experiment import Experiment, coefficients_of, sources_of
 from idtool.estimation.evaluation.reduced_errors import TorqueEvaluator
@@ -115,6 +116,7 @@ class ValidationResult(ValidationReport, SavableResult, Recordable, Displayable)
 
 
 @shows_progress
+@with_single_threaded_blas
 def validate(
     model: Model | Source,
     logs: Logs,

@@ -1,7 +1,7 @@
 """Evaluations in threads, for work that lets other threads run meanwhile: linear algebra, decompression, hashes.
 
 Threads share their memory, unlike the copies of a process in `processes`. They are of no use for what Python itself
-evaluates.
+evaluates. The linear algebra libraries have threads of their own, which are of no use for many small matrices.
 """
 
 from __future__ import annotations
@@ -10,19 +10,37 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, wraps
 from threading import Event
 from types import TracebackType
-from typing import Generic, NoReturn, TypeVar
+from typing import Generic, NoReturn, ParamSpec, TypeVar
 
 from idtool.common.memory import share_freed_memory
 from idtool.common.processes import process_count
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+P = ParamSpec("P")
 
 _LEAST_WORK = 1 << 20  # entries of all items together, for which threads are worth their start
 _MAX_WAITING = 64  # jobs evaluated in advance, however small
+
+
+def with_single_threaded_blas(function: Callable[P, Result]) -> Callable[P, Result]:
+    """Decorator of a function during which the linear algebra libraries have one thread, whatever it was before.
+
+    Its matrices are many and small, and it uses the processor cores itself: more threads would wait for each other.
+    """
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> Result:
+        import scipy.linalg  # noqa: F401  # it has a library of its own, which must be loaded to be limited
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return call
 
 
 def in_threads(evaluate: Callable[[Item], Result], items: Sequence[Item], work: float = _LEAST_WORK) -> list[Result]:

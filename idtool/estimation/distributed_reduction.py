@@ -22,6 +22,7 @@ from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
 from idtool.common.outputs import write_all
 from idtool.common.processes import limit_processes, no_progress
+from idtool.common.threads import with_single_threaded_blas
 from idtool.common.urls import version_of
 from idtool.common.version import VERSION
 from idtool.estimation.dataset.blocks import rounded_count
@@ -118,6 +119,7 @@ class ReducedLogs:
     notices: tuple[Notice, ...]
 
 
+@with_single_threaded_blas
 def reduce_log(task: LogTask) -> bytes | IdtoolError:
     """Reduce a log, on a worker: the content of the file with its reduction, or the error of a log that cannot be used.
 

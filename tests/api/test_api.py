@@ -11,7 +11,8 @@ import re
 import runpy
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ import numpy as np
 import pytest
 from commands import JOINTS, LEG, SAMPLES, TRAIN, VALIDATE_CSV, config_with, csv_text, sample_table
 from paths import CHECKOUT
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import idtool
 from idtool.data.logs import read_log
@@ -163,6 +165,20 @@ def test_a_log_read_otherwise_than_the_configuration_says_is_refused() -> None:
     np.testing.assert_array_equal(log.tau[:, 1], 2 * plain.tau[:, 1])
     by_log, by_path = (idtool.fit(model, one, quick=True) for one in (log, TRAIN))
     assert by_log.rms.train["hip"] == by_path.rms.train["hip"]
+
+
+@pytest.mark.parametrize("call", [partial(idtool.fit, LEG, TRAIN, quick=True), partial(idtool.init, LEG, TRAIN)])
+def test_linear_algebra_has_one_thread_during_a_call_and_then_as_many_as_before(call: Callable[..., object]) -> None:
+    """Its threads would wait for each other: without the limit, fits took four to ten times as long."""
+
+    def thread_counts() -> set[int]:
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    during: set[int] = set()
+    with threadpool_limits(2, user_api="blas"):
+        call(progress=lambda stage, share: during.update(thread_counts()))
+        assert during == {1}
+        assert thread_counts() == {2}
 
 
 def test_results_data_cannot_be_changed_but_copied() -> None:
