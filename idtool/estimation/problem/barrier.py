@@ -8,20 +8,20 @@ all X_i together (Nesterov & Nemirovskii 1994), and is strictly inside. Newton's
 nor on how far the eigenvalues of P lie apart: where P has changed little one step is enough. Steps are in the null
 space N of E S, so that rounding does not leave the equations.
 
-Letters: m variables x; P (m, m), q (m,); B inequalities of one form, of K variables and n rows each.
+Letters: m variables x; P (m, m), q (m,).
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from idtool.common.arrays import Array, Indices
+from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
 from idtool.common.linear_algebra import null_space
+from idtool.estimation.problem.inequality_groups import InequalityGroup, inequality_groups, log_det_groups
 from idtool.estimation.problem.problem import Problem
 
 _LAST_STEP = 0.3  # in the barrier's own length: a shorter step ends the search, what is left is a tenth of it squared
@@ -32,67 +32,6 @@ _MOST_WEIGHTS = 60  # tried for one function
 _PULLS = 10.0 ** np.arange(7)  # into the inequalities, when a start is searched for
 _START_CURVATURE = 1e-6  # relative: keeps a start where nothing else does
 _EQUATION_TOLERANCE = 1e-6  # of exact constraints
-
-
-@dataclass(frozen=True)
-class _Group:
-    """Inequalities of one form.
-
-    Attributes
-    ----------
-    variables
-        Indices of their variables, shape (B, K); only a slack variable is in several rows.
-    G
-        Shape (B, K, n, n), or (B, K, n) where they are on vectors.
-    least
-        Constant that is subtracted, shape (B, n, n) or (B, n).
-    weight
-        Weight of −log det in the function, in units of mu.
-    """
-
-    variables: Indices
-    G: Array
-    least: Array
-    weight: float = 1.0
-
-    def value(self, x: Array) -> Array:
-        """All X_i, shape (B, n, n) or (B, n)."""
-        K = self.variables.shape[1]
-        sums = x[self.variables][:, None, :] @ self.G.reshape(len(self.G), K, -1)
-        return np.asarray(sums.reshape(self.least.shape) - self.least)
-
-    def derivatives(self, x: Array) -> tuple[Array, Array]:
-        """Gradients, shape (B, K), and Hessians, shape (B, K, K), of the barrier −weight · log det X_i of each."""
-        X = self.value(x)
-        if X.ndim == 2:
-            Y = self.G / X[:, None, :]
-            return -self.weight * Y.sum(axis=-1), self.weight * (Y @ Y.swapaxes(-1, -2))
-        Y = np.linalg.inv(X)[:, None] @ self.G
-        shape = (*self.variables.shape, -1)
-        rows, columns = Y.reshape(shape), Y.swapaxes(-1, -2).reshape(shape)
-        gradient = -self.weight * np.einsum("bkii->bk", Y)
-        return gradient, self.weight * (rows @ columns.swapaxes(-1, -2))
-
-    def rates(self, x: Array, step: Array) -> Array:
-        """Eigenvalues r with X_i(x + t · step) singular where 1 + t r = 0, in a row."""
-        X, D = self.value(x), self.value(step) + self.least
-        if X.ndim == 2:
-            return np.asarray((D / X).ravel())
-        inverse = np.linalg.inv(np.linalg.cholesky(X))
-        return np.asarray(np.linalg.eigvalsh(inverse @ D @ inverse.swapaxes(-1, -2)).ravel())
-
-    def smallest(self, x: Array) -> float:
-        """Smallest eigenvalue or entry of all X_i."""
-        X = self.value(x)
-        return float((X if X.ndim == 2 else np.linalg.eigvalsh(X)).min())
-
-    def relaxed(self, slack: int) -> _Group:
-        """The inequalities X_i + s · 1 ⪰ 0 with a slack variable s of index ``slack``; of weight 1."""
-        one = np.eye(self.G.shape[-1]) if self.G.ndim == 4 else np.ones(self.G.shape[-1])
-        count = len(self.G)
-        variables = np.column_stack([self.variables, np.full(count, slack)])
-        ones = np.broadcast_to(one, (count, 1, *one.shape))
-        return _Group(variables, np.concatenate([self.G, ones], axis=1), self.least)
 
 
 class Barrier:
@@ -123,12 +62,12 @@ class Barrier:
     """
 
     def __init__(self, problem: Problem, P: Array, q: Array, gap: float, start: Array | None = None) -> None:
-        self._groups = _groups(problem)
-        self._log_dets = _log_det_groups(problem)
+        self._groups = inequality_groups(problem)
+        self._log_dets = log_det_groups(problem)
         self._slope = np.zeros(len(q))  # of the log-dets' linear parts
         for term in problem.log_dets:
             self._slope = self._slope + problem.S[term.z_slice].T @ term.slope
-        self.nu = sum(int(np.prod(group.least.shape[:2])) for group in self._groups)
+        self.nu = sum(group.rows for group in self._groups)
         self._mu = gap / max(self.nu, 1)
         self._E, self._e = problem.E @ problem.S, problem.e
         self._N = null_space(self._E) if len(self._E) else None
@@ -210,47 +149,7 @@ class Barrier:
         return x
 
 
-def _groups(problem: Problem) -> list[_Group]:
-    """The inequalities by form, those that share variables in different groups."""
-    by_form: dict[tuple[int, ...], list[_Group]] = defaultdict(list)
-    count: dict[int, int] = defaultdict(int)  # of inequalities on the same variables
-    for inequality in problem.inequalities:
-        G = inequality.G
-        one = np.eye(G.shape[-1]) if G.ndim == 3 else np.ones(G.shape[-1])
-        variables = np.arange(inequality.x_slice.start, inequality.x_slice.stop)
-        group = _Group(variables[None], G[None], inequality.interior * one[None])
-        by_form[count[inequality.first], *G.shape].append(group)
-        count[inequality.first] += 1
-    groups = [_concatenated(alike) for alike in by_form.values()]
-    if len(problem.bounded):
-        groups.append(_Group(problem.bounded[None], np.eye(len(problem.bounded))[None], problem.bounds[None]))
-    return groups
-
-
-def _log_det_groups(problem: Problem) -> list[_Group]:
-    """The problem's log-dets by the number of variables of their body, a body's and its copies' in different groups."""
-    by_form: dict[tuple[int, int], list[_Group]] = defaultdict(list)
-    count: dict[int, int] = defaultdict(int)  # of log-dets on the same variables
-    for term in problem.log_dets:
-        variables = np.flatnonzero(problem.S[term.z_slice].any(axis=0))
-        G = np.tensordot(problem.S[term.z_slice, variables].T, term.G, axes=1)
-        group = _Group(variables[None], G[None], np.zeros((1, *G.shape[1:])), term.weight)
-        by_form[count[term.first], len(variables)].append(group)
-        count[term.first] += 1
-    return [_concatenated(alike) for alike in by_form.values()]
-
-
-def _concatenated(groups: list[_Group]) -> _Group:
-    """One group of several of the same form and weight."""
-    return _Group(
-        variables=np.concatenate([group.variables for group in groups]),
-        G=np.concatenate([group.G for group in groups]),
-        least=np.concatenate([group.least for group in groups]),
-        weight=groups[0].weight,
-    )
-
-
-def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, N: Array | None) -> tuple[Array, bool]:
+def _minimise(groups: list[InequalityGroup], P: Array, q: Array, x: Array, N: Array | None) -> tuple[Array, bool]:
     """Newton's method with a line search from x, strictly inside, along the columns of N, shape (m, f); None: anywhere.
 
     Returns
@@ -277,7 +176,7 @@ def _minimise(groups: list[_Group], P: Array, q: Array, x: Array, N: Array | Non
     return x, False
 
 
-def _derivatives(groups: list[_Group], P: Array, q: Array, x: Array) -> tuple[Array, Array]:
+def _derivatives(groups: list[InequalityGroup], P: Array, q: Array, x: Array) -> tuple[Array, Array]:
     """Gradient, shape (m,), and Hessian, shape (m, m), of the function with its barrier, strictly inside."""
     gradient = P @ x - q
     H = P.copy()

@@ -119,61 +119,6 @@ def infeasible(problem: Problem) -> InfeasibleError:
     )
 
 
-def extreme_conic(
-    problem: Problem, start: Array, row: Array, level: float, settings: Mapping[str, Any]
-) -> Array | None:
-    """Minimizer of row · z among all z that the constraints allow and whose cost is at most a level.
-
-    Parameters
-    ----------
-    problem
-        From `problem.build_problem`.
-    start
-        An x whose cost is below the level, shape (m,).
-    row
-        Shape (p',).
-    level
-        Level of the cost f.
-    settings
-        Settings of Clarabel.
-
-    Returns
-    -------
-    x, shape (m,); None where row · z is not bounded.
-
-    Raises
-    ------
-    SolverError
-        If the solver gives up.
-    """
-    rows, q, _ = _conic_form(problem, start)
-    _add_level(rows, q, problem, start, level - problem.constant)
-    downhill = np.zeros(rows.width)
-    downhill[: problem.variables] = row @ problem.S
-    answer = _run(sparse.csc_matrix((rows.width,) * 2), downhill, rows, settings)
-    if "DualInfeasible" in str(answer.status):
-        return None
-    if answer.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
-        raise SolverError("solver", f"could not compute the range that the data allow ({answer.status})")
-    return np.asarray(start + np.asarray(answer.x)[: problem.variables])
-
-
-def _add_level(rows: _ConeRows, q: Array, problem: Problem, start: Array, room: float) -> None:
-    """The cone of a cost no higher than a level, ``room`` above its constant."""
-    m, p = problem.variables, len(problem.b)
-    r = np.zeros((p, rows.width))
-    r[:, m : m + p] = np.eye(p)
-    if not problem.log_dets:
-        cone = np.vstack([np.zeros(rows.width), -r])
-        rows.add(slice(None), cone, np.append(np.sqrt(max(room, 0.0)), np.zeros(p)), clarabel.SecondOrderConeT(p + 1))
-        return
-    z = problem.S @ start
-    room -= sum(term.offset + float(term.slope @ z[term.z_slice]) for term in problem.log_dets)
-    # ‖r‖² ≤ h = room − q v is ‖(1 − h, 2 r)‖ ≤ 1 + h.
-    cone = np.vstack([q, -q, -2 * r])
-    rows.add(slice(None), cone, np.array([1 + room, 1 - room, *np.zeros(p)]), clarabel.SecondOrderConeT(p + 2))
-
-
 def _conic_form(problem: Problem, start: Array) -> tuple[_ConeRows, Array, list[int]]:
     """Constraints, linear cost of the log-dets, and the places of the inequalities and, last, of the lower bounds."""
     m, p = problem.variables, len(problem.b)

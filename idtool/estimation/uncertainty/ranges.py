@@ -1,14 +1,13 @@
 """Range of a coefficient in which the fit is not visibly worse.
 
-It is the range over all that the constraints allow and whose cost is at most 1 % above the least, by two conic
-programmes.
+It is the range over all that the constraints allow and whose cost is at most 1 % above the least.
 
 Letters as in `problem`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,15 +17,13 @@ from scipy import sparse
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import SolverError
 from idtool.common.processes import Progress, shared_among_processes
-from idtool.estimation.problem.conic import extreme_conic
+from idtool.estimation.problem.extremes import LevelSet
 from idtool.estimation.problem.problem import Problem
 from idtool.estimation.problem.variables import PieceVariables
 
 ABOVE = 0.01  # of the least cost, by which a fit may be worse
 _FAR = 100.0  # units of a coefficient, beyond which it is as good as free
 _COUPLED = 1e-9  # correlation of two coefficients' columns below which it is rounding
-_SETTINGS = {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-5, "tol_feas": 1e-7, "equilibrate_enable": False}
-_ATTEMPTS: tuple[dict[str, float | bool], ...] = (_SETTINGS, {**_SETTINGS, "equilibrate_enable": True})
 
 
 def ranges(problem: Problem, x: Array, wanted: Indices, progress: Callable[[float], None]) -> Array:
@@ -45,54 +42,65 @@ def ranges(problem: Problem, x: Array, wanted: Indices, progress: Callable[[floa
 
     Returns
     -------
-    The least and the greatest value, SI, shape (k, 2); infinite where there is none, NaN where the solver gave up.
+    The least and the greatest value, SI, shape (k, 2); infinite where there is none, NaN where the search gave up.
     """
     level = problem.cost(problem.S @ x) * (1 + ABOVE)
-    place = {int(k): i for i, k in enumerate(wanted)}
-    searches: list[_Search] = []
-    for component in _components(problem):
-        in_component = [int(k) for k in component if int(k) in place]
-        if not in_component:
-            continue
-        restricted, start = _restricted(problem, x, component)
-        for k in in_component:
-            row = np.where(component == k, 1.0, 0.0)
-            searches.append(_Search(len(searches), k, restricted, start, row))
+    searches = [
+        search for component in _components(problem) for search in _searches(problem, x, component, wanted, level)
+    ]
 
-    def limits_of(search: _Search, tell: Progress) -> tuple[float, float]:
-        lowest = _least(search.problem, search.start, search.row, level)
-        highest = -_least(search.problem, search.start, -search.row, level)
-        tell("", (search.number + 1) / len(searches))
-        return lowest, highest
+    def limits_of(number: int, tell: Progress) -> Array:
+        limits = searches[number].limits()
+        tell("", (number + 1) / len(searches))
+        return limits
 
-    found = shared_among_processes(limits_of, searches, lambda stage, share: progress(share))
-    limits = np.full((len(wanted), 2), np.nan)
-    for search, ends in zip(searches, found, strict=True):
-        limits[place[search.coefficient]] = problem.scale[search.coefficient] * np.array(ends)
+    found = shared_among_processes(limits_of, range(len(searches)), lambda stage, share: progress(share))
+    limits = np.full((len(problem.scale), 2), np.nan)
+    for search, own_limits in zip(searches, found, strict=True):
+        limits[search.coefficients] = own_limits
     progress(1.0)
-    return limits
+    return np.asarray(problem.scale[wanted, None] * limits[wanted])
 
 
 class _Search(NamedTuple):
-    """Search for the range of one coefficient z.
+    """Search for the ranges of some coefficients z.
 
     Attributes
     ----------
-    number
-        Its number among the searches.
-    coefficient
-        Index of the coefficient in z.
-    problem, start
-        The problem in the coefficients that are coupled with it, and its optimum.
-    row
-        What picks the coefficient from those of the problem.
+    coefficients
+        Their indices in z, shape (k,).
+    level_set
+        What the data and constraints allow of all coefficients that are coupled with them.
+    rows
+        What picks each of them from these, shape (k, p').
     """
 
-    number: int
-    coefficient: int
-    problem: Problem
-    start: Array
-    row: Array
+    coefficients: Indices
+    level_set: LevelSet
+    rows: Array
+
+    def limits(self) -> Array:
+        """The least and the greatest z, shape (k, 2)."""
+        least = self.level_set.least(np.concatenate([self.rows, -self.rows])).reshape(2, -1)
+        least[least < -_FAR] = -np.inf
+        return np.column_stack([least[0], -least[1]])
+
+
+def _searches(problem: Problem, x: Array, component: Indices, wanted: Indices, level: float) -> Iterator[_Search]:
+    """Searches for the wanted ones of some coefficients that are coupled with each other; none if that is hopeless."""
+    places = np.flatnonzero(np.isin(component, wanted))
+    if not len(places):
+        return
+    restricted, start = _restricted(problem, x, component)
+    try:
+        level_set = LevelSet(restricted, start, level)
+    except SolverError:
+        return
+    rows = np.eye(len(component))
+    together = max(level_set.batch_size // 2, 1)  # two rows for each coefficient
+    for first in range(0, len(places), together):
+        chosen = places[first : first + together]
+        yield _Search(component[chosen], level_set, rows[chosen])
 
 
 def free_spread(problem: Problem, x: Array) -> Array:
@@ -106,18 +114,6 @@ def free_spread(problem: Problem, x: Array) -> Array:
     R = np.linalg.qr(np.concatenate(roots), mode="r")
     deviation = np.linalg.norm(np.linalg.inv(R), axis=1)
     return np.asarray(problem.scale * np.sqrt(ABOVE * problem.cost(z)) * deviation)
-
-
-def _least(problem: Problem, start: Array, row: Array, level: float) -> float:
-    """Minimum of row · z; −∞ where it is as good as free, NaN where the solver gave up."""
-    for settings in _ATTEMPTS:
-        try:
-            x = extreme_conic(problem, start, row, level, settings)
-        except SolverError:
-            continue
-        least = -np.inf if x is None else float(row @ (problem.S @ x))
-        return least if least > -_FAR else -np.inf
-    return np.nan
 
 
 def _components(problem: Problem) -> list[Indices]:
