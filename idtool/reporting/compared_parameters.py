@@ -24,7 +24,7 @@ from idtool.dynamics.effects import effect_name, target_name
 from idtool.estimation.uncertainty.standard_errors import CONFIDENCE
 from idtool.estimation.uncertainty.welch import FALSE_DISCOVERIES, significant_differences, welch_p_values
 from idtool.reporting.results.comparison import ComparedParameter, ComparedValue, ParameterKind
-from idtool.reporting.results.fit import BaseParameter, FitReport, FrictionErrors
+from idtool.reporting.results.fit import BaseParameter, EffectReport, FitReport, FrictionErrors
 from idtool.robot.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 
 OTHER_COMBINATION = "another combination"
@@ -341,7 +341,7 @@ def _rotors(report: FitReport, factors: _ErrorFactors) -> Iterator[tuple[Key, Pa
 
 def _effects(report: FitReport, factors: _ErrorFactors) -> Iterator[tuple[Key, Parameter]]:
     freedom = _report_freedom(report)
-    for effect in report.effects:
+    for effect in sorted(report.effects, key=_given_then_identified):
         owner = f"{effect_name(effect.effect)} on {target_name(effect.effect, effect.joint, effect.link)}"
         for name, given in effect.parameters.items():
             errors = effect.standard_error.get(name)
@@ -349,6 +349,18 @@ def _effects(report: FitReport, factors: _ErrorFactors) -> Iterator[tuple[Key, P
             for label, value, error in _numbers_of(name.replace("_", " "), given, errors):
                 parameter = _with_error(owner, unit, value, error, freedom, factors.overall)
                 yield ("effect", owner, label), parameter
+
+
+def _given_then_identified(effect: EffectReport) -> tuple[list[float], list[float]]:
+    """The numbers of an effect's given parameters, and of the identified ones.
+
+    In their order, two end stops of a joint are the same two in each result, wherever their file has them.
+    """
+    given, identified = [], []
+    for name, values in effect.parameters.items():
+        numbers = [value for _, value, _ in _numbers_of(name, values, None)]
+        (given if effect.standard_error.get(name) is None else identified).extend(numbers)
+    return given, identified
 
 
 def _numbers_of(name: str, given: object, errors: object) -> Iterator[tuple[str, float, float | None]]:

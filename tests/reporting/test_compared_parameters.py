@@ -144,6 +144,24 @@ def test_parameters_of_the_same_name_are_compared_each(report: Report) -> None:
     assert [compared(report, moved(report, i, 12)).differing for i in (own, other)] == [1, 1]
 
 
+def test_two_effects_of_a_kind_on_a_joint_are_the_same_two_in_any_order(report: Report) -> None:
+    def stop(position: float, stiffness: float) -> Report:
+        return {
+            "effect": "end_stop",
+            "joint": "knee",
+            "link": None,
+            "parameters": {"stiffness": stiffness, "position": position},
+            "standard_error": {"stiffness": 1.0, "position": None},
+            "units": {"stiffness": "N·m/rad", "position": "rad"},
+        }
+
+    other = copy.deepcopy(report)
+    report["effects"] = [stop(-1.2, 300.0), stop(0.8, 90.0)]
+    other["effects"] = [stop(0.8, 92.0), stop(-1.2, 301.0)]
+    differences = [p.difference for p in compared(report, other).parameters if p.what.startswith("stiffness")]
+    assert differences == pytest.approx([1.0, 2.0])
+
+
 def test_a_delay_in_one_result_alone_says_nothing_of_the_models(report: Report) -> None:
     """A log with torque, and one with commands, of the same robot."""
     controlled = copy.deepcopy(report)
