@@ -79,7 +79,7 @@ def load_experiment(
     """
     progress("reading", 0.0)
     model = as_model(model)
-    given = _GivenLogs(as_list(logs), as_list(validate), holdout)
+    given, damaged = _given_logs(logs, validate, holdout, skip_bad)
     with _in_configuration(model):
         if distribution is not None:
             model.settings.require_only_joints("--cluster")
@@ -96,7 +96,7 @@ def load_experiment(
             experiment = _prepare(model, given.logs, given.validate, holdout, skip_bad, transform)
         if pool is not None and isinstance(experiment, ReducedExperiment):
             check_fleet(pool, experiment)
-        return experiment
+        return replace(experiment, loading_notices=(*damaged, *experiment.loading_notices))
 
 
 def load_for_diagnosis(
@@ -122,7 +122,7 @@ def load_for_diagnosis(
     """
     progress("reading", 0.0)
     model = as_model(model)
-    given = _GivenLogs(as_list(logs), as_list(validate), holdout)
+    given, damaged = _given_logs(logs, validate, holdout, skip_bad)
     with _in_configuration(model):
         training, validation = given.reductions(with_excerpts=True)
         left_out: tuple[Notice, ...] = ()
@@ -139,7 +139,7 @@ def load_for_diagnosis(
             training_logs = _as_logs(excerpts.training)
             validation_logs = _as_logs(excerpts.validation)
         experiment = _prepare(model, training_logs, validation_logs, holdout, skip_bad)
-    notices = (*left_out, *experiment.loading_notices, *excerpts.notices)
+    notices = (*damaged, *left_out, *experiment.loading_notices, *excerpts.notices)
     return replace(experiment, loading_notices=notices)
 
 
@@ -184,6 +184,32 @@ class _GivenLogs:
             if not self.validate and self.holdout not in (reduction.holdout, DEFAULT_HOLDOUT):
                 what = f"{path} was made with --holdout {reduction.holdout:g}"
                 raise ConfigError("--holdout", f"{what}; make it again with idtool reduce for another one")
+
+
+def _given_logs(logs: Logs, validate: Logs, holdout: float, skip_bad: bool) -> tuple[_GivenLogs, tuple[Notice, ...]]:
+    """The logs and reductions; with ``skip_bad``, without damaged reductions, and notices that name these."""
+    given = _GivenLogs(as_list(logs), as_list(validate), holdout)
+    if not (skip_bad and given.has_reductions):
+        return given, ()
+    failures: list[LogError] = []
+    usable = replace(
+        given,
+        logs=[log for log in given.logs if not _is_damaged_reduction(log, failures)],
+        validate=[log for log in given.validate if not _is_damaged_reduction(log, failures)],
+    )
+    if (given.logs and not usable.logs) or (given.validate and not usable.validate):
+        raise LogError(failures[0].where, f"{failures[0].what}; no other log can be used")
+    return usable, tuple(map(left_out_notice, failures))
+
+
+def _is_damaged_reduction(log: LogSource, failures: list[LogError]) -> bool:
+    """True for a file of `idtool reduce` that cannot be read; its error is then one more of the failures."""
+    try:
+        _read_reductions([log], with_excerpts=False)
+    except LogError as error:
+        failures.append(error)
+        return True
+    return False
 
 
 def _prepare(

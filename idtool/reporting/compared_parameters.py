@@ -356,7 +356,8 @@ def _given_then_identified(effect: EffectReport) -> tuple[list[float], list[floa
 
     In their order, two end stops of a joint are the same two in each result, wherever their file has them.
     """
-    given, identified = [], []
+    given: list[float] = []
+    identified: list[float] = []
     for name, values in effect.parameters.items():
         numbers = [value for _, value, _ in _numbers_of(name, values, None)]
         (given if effect.standard_error.get(name) is None else identified).extend(numbers)

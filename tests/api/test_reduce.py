@@ -401,6 +401,21 @@ def test_reductions_are_enough_if_no_log_can_be_used(
             package.fit(LEG, logs, validate=validate, quick=True, skip_bad=True, cluster=cluster)
 
 
+def test_a_damaged_reduction_is_left_out(reduction: Path, validation: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.idr"
+    bad.write_bytes(reduction.read_bytes()[:5000])
+    fitted = package.fit(LEG, [bad, reduction], validate=[validation, bad], quick=True, skip_bad=True)
+    assert [notice.subject for notice in fitted.notices if notice.code == "log_left_out"] == ["bad.idr"]
+    assert_same_figures(
+        fitted.to_json()["rms"], package.fit(LEG, reduction, validate=validation, quick=True).to_json()["rms"], "rms"
+    )
+    for logs, validate in (([bad], [validation]), ([reduction], [bad])):
+        with pytest.raises(package.LogError, match=r"bad\.idr: .*; no other log can be used"):
+            package.fit(LEG, logs, validate=validate, quick=True, skip_bad=True)
+    with pytest.raises(package.LogError, match=r"bad\.idr"):
+        package.fit(LEG, [bad, reduction], quick=True)
+
+
 def test_a_validation_is_that_on_the_log(validation: Path, tmp_path: Path) -> None:
     """Of an identified model, too, whose rows are those of the original one."""
     package.fit(LEG, TRAIN, quick=True).save(tmp_path)
