@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ModelError
+from idtool.common.processes import shared_among_processes
 from idtool.data.batches import BatchSpan
 from idtool.data.filters import convolve, zero_phase_butterworth
 from idtool.data.logs import JointLog
@@ -61,8 +62,16 @@ class Instruments:
     cutoff_hz: Array
 
 
-def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progress) -> Instruments:
-    """The instruments' motion along the training part of a log.
+class _Motion(NamedTuple):
+    """The motion of instruments as a log; other attributes as in `Instruments`."""
+
+    log: JointLog
+    kind: Kind
+    cutoff_hz: Array
+
+
+def instruments(experiment: Experiment, theta: Array, progress: Progress) -> list[Instruments]:
+    """The instruments' motion along the training part of each log that has one.
 
     Simulated where there are a command and a controller for every joint, even if torque was logged too: a feed-forward
     that the configuration does not know makes the simulation follow less closely, not less free of noise. Elsewhere
@@ -73,8 +82,6 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
     ----------
     experiment
         Model and data.
-    run
-        One of its logs.
     theta
         Coefficients of the model that is simulated, shape (p,).
     progress
@@ -87,24 +94,36 @@ def instruments(experiment: Experiment, run: Run, theta: Array, progress: Progre
     """
     if not experiment.has_only_joints:
         raise ModelError("--method iv", "needs a fixed base, no contacts and no wrench_sensors; use least squares")
+    runs = [run for run in experiment.runs if run.train]
+
+    def motion_along(run: Run, tell: Progress) -> _Motion:
+        return _motion(experiment, run, theta, tell)
+
+    motions = shared_among_processes(motion_along, runs, progress)
+    return [_along(experiment, run, motion) for run, motion in zip(runs, motions, strict=True)]
+
+
+def _motion(experiment: Experiment, run: Run, theta: Array, progress: Progress) -> _Motion:
+    """The motion along a log: simulated or smoothed."""
     signals, controller = run.signals, experiment.config.controller
-    kind: Kind
     if controller is not None and all(
         signals.log.has("qcmd", name) and controller.kp_of(name) is not None for name in signals.joints
     ):
-        kind = "closed_loop"
-        cutoff = np.full(len(signals.joints), np.inf)
         log = _simulated_log(experiment, run, theta, progress)
-    else:
-        kind = "smoothed"
-        motion = signals.channels.signal("q", signals.channels.longest_stretch(signals.channels.stretches()))
-        cutoff = np.array([smoothing(q, signals.log.dt, signals.band_hz) for q in motion])
-        log = _smoothed_log(signals, cutoff)
+        return _Motion(log, "closed_loop", np.full(len(signals.joints), np.inf))
+    q_in_motion = signals.channels.signal("q", signals.channels.longest_stretch(signals.channels.stretches()))
+    cutoff = np.array([smoothing(q, signals.log.dt, signals.band_hz) for q in q_in_motion])
+    return _Motion(_smoothed_log(signals, cutoff), "smoothed", cutoff)
+
+
+def _along(experiment: Experiment, run: Run, motion: _Motion) -> Instruments:
+    """Instruments with a motion along a log."""
+    signals = run.signals
     config = experiment.config.model_copy(update={"velocity": "differentiated"})  # without noise as good as measured
-    instrument_signals = Signals(log, signals.joints, config, batch_samples=signals.batch_samples)
+    instrument_signals = Signals(motion.log, signals.joints, config, batch_samples=signals.batch_samples)
     # Where Z's sign must not be trusted is where Y's is lost in noise.
     instrument_signals.velocity_deadband = signals.velocity_deadband
-    return Instruments(run, instrument_signals, kind, cutoff)
+    return Instruments(run, instrument_signals, motion.kind, motion.cutoff_hz)
 
 
 def instrumented_rows(experiment: Experiment, made: Instruments) -> Rows:

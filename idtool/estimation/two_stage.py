@@ -118,7 +118,7 @@ def two_stage_estimate(
     stacked: Reduction = ()
     while change > _CONVERGED and iterations < _MOST_ITERATIONS:
         if not made or any(each.kind == "closed_loop" for each in made):
-            made = [instruments(experiment, run, theta, progress) for run in experiment.runs if run.train]
+            made = instruments(experiment, theta, progress)
             stacked = stack(experiment, made, progress)
         projected, full = project(stacked), unprojected(stacked)
         previous = theta

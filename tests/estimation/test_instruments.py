@@ -121,7 +121,7 @@ def test_bias_of_ten_runs(kind: str) -> None:
 def simulated(log: JointLog, controller: Controller, theta: Array | None = None) -> Instruments:
     experiment = of(log, controller)
     theta = runs.true_theta(experiment) if theta is None else theta
-    return instruments(experiment, experiment.runs[0], theta, silent)
+    return instruments(experiment, theta, silent)[0]
 
 
 def test_the_simulation_forgets_the_noise(motion: Motion, coarse: JointLog) -> None:
@@ -139,7 +139,7 @@ def test_the_simulation_goes_where_the_leg_goes_across_a_gap_and_to_a_cut(motion
     cut = make_log(log.path, t, log.joints, signals)
     assert len(cut.segments) == 2
     experiment = of(cut, controller, holdout=0.2)
-    made = instruments(experiment, experiment.runs[0], runs.true_theta(experiment), silent)
+    made = instruments(experiment, runs.true_theta(experiment), silent)[0]
     measured = made.run.signals
     pairs = list(zip(measured.batches(made.run.train), made.signals.batches(made.run.train), strict=True))
     assert len(pairs) > 1
@@ -152,7 +152,7 @@ def test_the_simulation_goes_where_the_leg_goes_across_a_gap_and_to_a_cut(motion
 
 def test_rows_without_noise_are_their_own_instruments(motion: Motion) -> None:
     experiment = of(run(motion, 1, sensors=runs.PERFECT), None)
-    made = instruments(experiment, experiment.runs[0], np.zeros(1), silent)
+    made = instruments(experiment, np.zeros(1), silent)[0]
     assert np.isinf(made.cutoff_hz).all()
     stacked = stack(experiment, [made], silent)
     rng = np.random.default_rng(1)

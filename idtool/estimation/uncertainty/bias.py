@@ -93,7 +93,7 @@ def paired_estimates(experiment: Experiment, identification: Identification, pro
         return None
     else:
         try:
-            made = tuple(instruments(experiment, run, theta, progress) for run in experiment.runs if run.train)
+            made = tuple(instruments(experiment, theta, progress))
         except ModelError:  # the report on the simulation says so
             return None
     data = instrumented_blocks(experiment, made, progress)
