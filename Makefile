@@ -47,7 +47,7 @@ bench: $(BENCH_READY)  ## ratios to other programs, and growth of time and memor
 	.venv-bench/bin/python benchmarks/bench_page.py
 
 benchmarks: $(TEST_READY)  ## speed and memory; each speed is a ratio of two times measured in one run
-	for script in lmi mcap_reading memory reduced_solve regressor simulate startup; do \
+	for script in lmi mcap_reading memory parameter_ranges reduced_solve regressor simulate startup; do \
 		OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/$$script.py || exit 1; done
 
 coverage: $(TEST_READY)  ## how often the 95 % intervals contain the true value, on 260 simulated logs; takes minutes
