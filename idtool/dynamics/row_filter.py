@@ -24,6 +24,8 @@ Shares = Sequence[Array] | Sequence[Mask]  # per row, the share of each filtered
 
 _MIN_SHARE = 1e-6  # of a row; less is rounding of the projection
 _SAMPLES_TOGETHER = 128  # whose matrices, rows and products fit in a processor's cache
+_ENTRIES_TOGETHER = 1 << 17  # of products, which fit there until they are filtered
+_FEW_ROWS = 6  # up to which sums over rows are faster than a product of matrices for each sample
 
 
 class RowFilter(ABC):
@@ -139,6 +141,11 @@ class ProjectedRows(RowFilter):
         return self.contacts.gains(self.projector)
 
     @cached_property
+    def _gains_in_time(self) -> Array:
+        """The same, time last, shape (nv, nv, N)."""
+        return np.ascontiguousarray(np.moveaxis(self._gains, 0, -1))
+
+    @cached_property
     def _is_nonzero(self) -> Mask:
         """True for entries of the gains that are nonzero at any sample, shape (nv, nv)."""
         return np.asarray(self._gains.any(axis=0))
@@ -150,10 +157,28 @@ class ProjectedRows(RowFilter):
     @override
     def filter_columns(self, rows: Indices, columns: Array) -> tuple[Indices, Array]:
         reached = np.flatnonzero(self._is_nonzero[:, rows].any(axis=1))
+        k, m, _ = columns.shape
         if not len(reached):  # unknown forces explain all of the rows
-            return reached, np.empty((0, columns.shape[1], len(self.batch.t)))
+            return reached, np.empty((0, m, len(self.batch.t)))
+        if k <= _FEW_ROWS or m == 1:
+            return reached, self._filtered_sums(reached, rows, columns)
         gains = self._gains[:, reached[:, None], rows]
         return reached, self.batch.filter(multiply_by_sample(gains, columns))
+
+    def _filtered_sums(self, reached: Indices, rows: Indices, columns: Array) -> Array:
+        """Filtered products of gains and columns as sums over rows, part by part; shape (r, m, n)."""
+        _, m, N = columns.shape
+        filtered = np.empty((len(reached), m, len(self.batch.t)))
+        columns_together = min(m, max(_ENTRIES_TOGETHER // N, 1))
+        rows_together = max(_ENTRIES_TOGETHER // (columns_together * N), 1)
+        for first_column in range(0, m, columns_together):
+            some_columns = slice(first_column, first_column + columns_together)
+            for first_row in range(0, len(reached), rows_together):
+                some_rows = slice(first_row, first_row + rows_together)
+                gains = self._gains_in_time[reached[some_rows, None], rows]
+                products = np.einsum("rkn,kmn->rmn", gains, columns[:, some_columns])
+                filtered[some_rows, some_columns] = self.batch.filter(products)
+        return filtered
 
 
 def multiply_by_sample(matrices: Array, rows: Array) -> Array:
