@@ -13,7 +13,7 @@ from idtool.api.distribution import Distribution
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress
-from idtool.common.exceptions import ConfigError, LogError
+from idtool.common.exceptions import ConfigError, LogError, TransferError
 from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.common.names import without_secrets
 from idtool.common.notice import Notice, unique
@@ -191,25 +191,31 @@ def _given_logs(logs: Logs, validate: Logs, holdout: float, skip_bad: bool) -> t
     given = _GivenLogs(as_list(logs), as_list(validate), holdout)
     if not (skip_bad and given.has_reductions):
         return given, ()
-    failures: list[LogError] = []
-    usable = replace(
-        given,
-        logs=[log for log in given.logs if not _is_damaged_reduction(log, failures)],
-        validate=[log for log in given.validate if not _is_damaged_reduction(log, failures)],
-    )
-    if (given.logs and not usable.logs) or (given.validate and not usable.validate):
-        raise LogError(failures[0].where, f"{failures[0].what}; no other log can be used")
-    return usable, tuple(map(left_out_notice, failures))
+    given_logs, failures = _without_damaged(given.logs)
+    given_validate, validate_failures = _without_damaged(given.validate)
+    usable = replace(given, logs=given_logs, validate=given_validate)
+    for before, left, errors in (
+        (given.logs, given_logs, failures),
+        (given.validate, given_validate, validate_failures),
+    ):
+        if before and not left:
+            raise LogError(errors[0].where, f"{errors[0].what}; no other log can be used")
+    return usable, unique(map(left_out_notice, (*failures, *validate_failures)))
 
 
-def _is_damaged_reduction(log: LogSource, failures: list[LogError]) -> bool:
-    """True for a file of `idtool reduce` that cannot be read; its error is then one more of the failures."""
-    try:
-        _read_reductions([log], with_excerpts=False)
-    except LogError as error:
-        failures.append(error)
-        return True
-    return False
+def _without_damaged(logs: Sequence[LogSource]) -> tuple[list[LogSource], list[LogError]]:
+    """Logs without the files of `idtool reduce` that cannot be read, and the errors of these."""
+    usable, errors = [], []
+    for log in logs:
+        try:
+            _read_reductions([log], with_excerpts=False)
+        except TransferError:
+            raise
+        except LogError as error:
+            errors.append(error)
+        else:
+            usable.append(log)
+    return usable, errors
 
 
 def _prepare(

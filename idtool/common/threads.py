@@ -27,7 +27,7 @@ _MAX_WAITING = 64  # jobs evaluated in advance, however small
 
 
 def with_single_threaded_blas(function: Callable[P, Result]) -> Callable[P, Result]:
-    """Decorator of a function during which the linear algebra libraries have one thread, whatever it was before.
+    """Decorator that limits the linear algebra libraries to one thread while a function runs.
 
     Its matrices are many and small, and it uses the processor cores itself: more threads would wait for each other.
     """

@@ -87,10 +87,14 @@ def instruments(experiment: Experiment, theta: Array, progress: Progress) -> lis
     progress
         Callback for the stage and its progress, from 0 to 1.
 
+    Returns
+    -------
+    One for each log with a training part, in their order.
+
     Raises
     ------
     ModelError
-        If the model cannot be simulated, or runs away.
+        If the model cannot be simulated, or runs away; or if the base moves, or there are contacts or wrench sensors.
     """
     if not experiment.has_only_joints:
         raise ModelError("--method iv", "needs a fixed base, no contacts and no wrench_sensors; use least squares")

@@ -345,6 +345,52 @@ def test_a_copys_range_is_its_originals(robot_of: Robots) -> None:
         assert (theta[copy] <= ends.max(axis=0) + near).all()
 
 
+def test_objectives_in_parts_have_the_same_values(robot_of: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, problem, x = stated(robot_of, CASES["entropic"])
+    together = asked(problem, x)
+    monkeypatch.setattr("idtool.estimation.problem.extremes._BATCH_ENTRIES", 1)
+    np.testing.assert_allclose(asked(problem, x), together, rtol=1e-6)
+
+
+def test_a_level_at_the_least_cost_has_no_interior(robot_of: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, problem, x = stated(robot_of, CASES["full"])
+    cost = problem.cost(problem.S @ x)
+    for level in (cost, np.nan):
+        with pytest.raises(SolverError, match="not above the least cost"):
+            LevelSet(problem, x, level)
+    monkeypatch.setattr("idtool.estimation.uncertainty.ranges.ABOVE", 0.0)
+    assert np.isnan(asked(problem, x, [0, 5])).all()
+
+
+def test_one_path_that_cannot_be_followed_leaves_the_others(robot_of: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, problem, x = stated(robot_of, CASES["full"])
+    level_set = LevelSet(problem, x, problem.cost(problem.S @ x) * (1 + ABOVE))
+    objectives, enough = np.eye(len(problem.scale))[:7], np.full(7, -np.inf)
+    expected = level_set.least(objectives, enough)
+    real = LevelSet._least
+
+    def fails_with_the_fourth(self: LevelSet, objectives: Array, enough: Array) -> Array:
+        if objectives[:, 3].any():
+            raise np.linalg.LinAlgError
+        return real(self, objectives, enough)
+
+    monkeypatch.setattr(LevelSet, "_least", fails_with_the_fourth)
+    expected[3] = np.nan
+    np.testing.assert_allclose(level_set.least(objectives, enough), expected, rtol=1e-6)
+
+
+def test_a_coefficient_far_from_zero_has_a_range(robot_of: Robots) -> None:
+    """What is out of sight is far from the optimum."""
+    _, problem, _ = stated(robot_of, CASES["full"])
+    k = int(problem.other_coefficients[0])
+    moved = replace(problem, b=problem.b + 300 * problem.A[:, k], lower=np.full_like(problem.lower, -np.inf))
+    at_origin = replace(problem, lower=moved.lower)
+    expected = asked(at_origin, solve(at_origin)[0], [k])
+    found = asked(moved, solve(moved)[0], [k])
+    assert np.isfinite(found).all()
+    np.testing.assert_allclose(found - 300 * problem.scale[k], expected, atol=1e-3 * problem.scale[k])
+
+
 def test_where_the_solver_gives_up_there_is_no_number(robot_of: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
     def gives_up(*_: Any) -> LevelSet:
         raise SolverError("solver", "no")

@@ -1,15 +1,17 @@
 """Least values of many linear functions over all that the constraints allow at a cost up to a level.
 
-The least c · x for every row c, among all x with X_i(x) ⪰ 0, E S x = e and f(x) ≤ level, is approached from inside,
-along a central path (Nesterov & Nemirovskii 1994; Boyd & Vandenberghe, Convex Optimization, chapter 11):
+The least c · x for every objective c, among all x with X_i(x) ⪰ 0, E S x = e and f(x) ≤ level, is approached from
+inside, along a central path (Nesterov & Nemirovskii 1994; Boyd & Vandenberghe, Convex Optimization, chapter 11):
 
     x(tau) = argmin of tau c · x + phi(x),  phi(x) = −w log(level − f(x)) − Σ log det X_i(x).
 
-The level is one row among many: with a weight w of 1, the path would come too near to it, and steps be short. All paths
-begin at the centre, where phi is least. They are followed together: each step of Newton's method is taken for all rows
-at once. To first order, c · x(tau) is tau c · H⁻¹ c above the least value, H the Hessian of phi.
+The level is one inequality among many: with a weight w of 1, the path would come too near to it, and steps be short.
+All paths begin at the centre, where phi is least. They are followed together: each step of Newton's method is taken for
+all objectives at once. Near the end of a path the gap to the least value is about a / tau; as d(c · x)/dtau =
+−c · H⁻¹ c, it is tau c · H⁻¹ c to first order in 1 / tau, and this is subtracted.
 
-Letters: D rows c; m variables x; H (D, m, m).
+Letters: D objectives c; m variables x; H (D, m, m) Hessian of phi; tau the inverse of mu in `barrier`; A, S, E, e, f as
+in `problem`, X_i as in `barrier`.
 """
 
 from __future__ import annotations
@@ -27,10 +29,11 @@ from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.inequality_groups import InequalityGroup, inequality_groups, log_det_groups
 from idtool.estimation.problem.problem import Problem
 
-_ACCURACY = 1e-3  # of the way from the centre: what is left of it at the end, of which the first order is subtracted
-_NEAR_CENTER = 1e-3  # squared length of a step in the barrier's own length, at which the centre is found
-_NEAR_PATH = 0.3  # at which tau grows
-_ON_PATH = 0.1  # at which c · x is that of the path
+_ACCURACY = 1e-3  # greatest gap at the end, relative to the way from the centre; its estimate is then subtracted
+# Squared Newton decrements (Boyd & Vandenberghe, section 9.5) at which …
+_CENTERED = 1e-3  # … the centre is found
+_NEXT_TAU = 0.3  # … tau grows
+_ARRIVED = 0.1  # … c · x is near that of the path
 _FIRST_TAU = 10.0  # in units of the barrier's own length along c at the centre
 _TAU_FACTOR = 10.0
 _ROWS_PER_LEVEL = 8  # rows of inequalities for each 1 of w
@@ -39,8 +42,8 @@ _MOST_OF_WAY = 0.7  # to the first inequality that a step goes at the most: near
 _MOST_HALVINGS = 40
 _MOST_SEARCH_STEPS = 25
 _SEARCH_ACCURACY = 1e-2  # of a step's length
-_FIXED = 1e-9  # length of a row in the space that exact constraints leave, relative to its own, that is rounding
-_BATCH_ENTRIES = 2**20  # of the Hessians of rows that are followed together
+_FIXED = 1e-9  # length of an objective in the space that exact constraints leave, relative to its own, that is rounding
+_BATCH_ENTRIES = 2**20  # of the Hessians of objectives that are followed together
 
 
 class LevelSet:
@@ -82,27 +85,41 @@ class LevelSet:
 
     @property
     def batch_size(self) -> int:
-        """Number of rows that are best followed together, for the memory that they take."""
+        """Number of objectives that are best followed together, for the memory that they take."""
         return max(_BATCH_ENTRIES // len(self._center) ** 2, 1)
 
-    def least(self, rows: Array) -> Array:
-        """Least values of row · z, shape (D,), for rows of shape (D, p'); NaN where a path could not be followed."""
-        try:
-            return self._least(rows)
-        except np.linalg.LinAlgError:  # so near the boundary that rounding has left nothing: of one of the rows
-            if len(rows) == 1:
-                return np.array([np.nan])
-            half = len(rows) // 2
-            return np.concatenate([self.least(rows[:half]), self.least(rows[half:])])
+    def least(self, objectives: Array, enough: Array) -> Array:
+        """Least values of objective · z.
 
-    def _least(self, rows: Array) -> Array:
+        They are accurate to about 1e-4 of the way from the centre, on either side.
+
+        Parameters
+        ----------
+        objectives
+            Shape (D, p').
+        enough
+            Values below which it need not be the least one, shape (D,).
+
+        Returns
+        -------
+        Shape (D,); NaN where a path could not be followed.
+        """
+        try:
+            return self._least(objectives, enough)
+        except np.linalg.LinAlgError:  # so near the boundary that rounding has left nothing: of one of the paths
+            if len(objectives) == 1:
+                return np.array([np.nan])
+            halves = [slice(len(objectives) // 2), slice(len(objectives) // 2, None)]
+            return np.concatenate([self.least(objectives[half], enough[half]) for half in halves])
+
+    def _least(self, objectives: Array, enough: Array) -> Array:
         """As in `least`."""
-        c = rows @ self._S
-        values = c @ self._center
+        c = objectives @ self._S
+        values = np.asarray(c @ self._center)
         free = c if self._N is None else c @ self._N
         is_free = np.linalg.norm(free, axis=1) > _FIXED * np.linalg.norm(c, axis=1)
         if not is_free.any():
-            return np.asarray(values)
+            return values
         paths = np.flatnonzero(is_free)
         values[paths] = np.nan
 
@@ -114,15 +131,15 @@ class LevelSet:
             gradient, H = self._derivatives(x)
             to_center, downhill = -np.moveaxis(self._solve(H, np.stack([gradient, c], axis=-1)), -1, 0)
             step = to_center + tau[:, None] * downhill
-            length = -_dot(step, gradient + tau[:, None] * c)
-            value, left = _dot(c, x), -tau * _dot(c, downhill)
-            is_near_end = left <= _ACCURACY * (c @ self._center - value)
-            has_arrived = is_near_end & (length < _ON_PATH)
-            values[paths[has_arrived]] = value[has_arrived] - left[has_arrived]
+            squared_decrement = -_dot(step, gradient + tau[:, None] * c)
+            value, gap = _dot(c, x), -tau * _dot(c, downhill)
+            is_near_end = gap <= _ACCURACY * (c @ self._center - value)
+            has_arrived = is_near_end & (squared_decrement < _ARRIVED) | (value < enough[paths])
+            values[paths[has_arrived]] = value[has_arrived] - gap[has_arrived]
             if has_arrived.all():
                 break
 
-            tau = np.where(~is_near_end & (length < _NEAR_PATH), _TAU_FACTOR * tau, tau)
+            tau = np.where(~is_near_end & (squared_decrement < _NEXT_TAU), _TAU_FACTOR * tau, tau)
             step = to_center + tau[:, None] * downhill
             goes_on = ~has_arrived
             paths, c, x, tau, step = paths[goes_on], c[goes_on], x[goes_on], tau[goes_on], step[goes_on]
@@ -132,6 +149,8 @@ class LevelSet:
     def _strictly_inside(self, problem: Problem, start: Array, level: float) -> Array:
         """A point strictly inside: between the optimum and one far inside the inequalities."""
         room = level - problem.cost(problem.S @ start)
+        if not room > 0:
+            raise SolverError("solver", "the level is not above the least cost")
         inside = Barrier(problem, self._P, 2 * self._AS.T @ self._b, gap=room).x
         for _ in range(_MOST_HALVINGS):
             if problem.cost(problem.S @ inside) < level - room / 2:
@@ -145,10 +164,10 @@ class LevelSet:
         for _ in range(_MOST_STEPS):
             gradient, H = self._derivatives(x)
             step = -self._solve(H, gradient[..., None])[..., 0]
-            if -_dot(step, gradient)[0] < _NEAR_CENTER:
-                break
+            if -_dot(step, gradient)[0] < _CENTERED:
+                return np.asarray(x[0])
             x = x + self._step_length(x, step, np.zeros(1))[:, None] * step
-        return np.asarray(x[0])
+        raise SolverError("solver", "could not find the middle of what the data allow")
 
     def _derivatives(self, x: Array) -> tuple[Array, Array]:
         """Gradient, shape (D, m), and Hessian, shape (D, m, m), of phi at points of shape (D, m)."""
@@ -171,7 +190,7 @@ class LevelSet:
         return np.asarray(self._room - cost)
 
     def _solve(self, H: Array, right: Array) -> Array:
-        """Solutions of H y = right in the space that exact constraints leave, shape (D, m, k)."""
+        """Solutions of H y = right in the space that exact constraints leave, shape (D, m, k). H is overwritten."""
         if self._N is not None:
             H, right = self._N.T @ H @ self._N, self._N.T @ right
         y = np.empty(right.shape)
@@ -252,8 +271,7 @@ class _Line(NamedTuple):
 
     def boundary(self) -> Array:
         """The t up to which the inequalities hold, shape (D,)."""
-        zero = np.zeros((len(self.room), 1))
-        least_rate = np.min(np.concatenate([self.rates, self.log_det_rates, zero], axis=1), axis=1)
+        least_rate = np.concatenate([self.rates, self.log_det_rates], axis=1).min(axis=1, initial=0.0)
         end = np.full(len(least_rate), np.inf)
         np.divide(-1.0, least_rate, out=end, where=least_rate < 0)
         return end

@@ -28,7 +28,7 @@ class InequalityGroup:
     least
         Constant that is subtracted, shape (B, n, n) or (B, n).
     weight
-        Weight of −log det in the function, in units of mu.
+        Weight of −log det X_i in the function that is minimised: 1 for an inequality, the prior's for a log-det.
     """
 
     variables: Indices
@@ -88,7 +88,7 @@ class InequalityGroup:
 
     def relaxed(self, slack: int) -> InequalityGroup:
         """The inequalities X_i + s · 1 ⪰ 0 with a slack variable s of index ``slack``; of weight 1."""
-        one = np.eye(self.G.shape[-1]) if self.G.ndim == 4 else np.ones(self.G.shape[-1])
+        one = np.eye(self.G.shape[-1]) if self.is_on_matrices else np.ones(self.G.shape[-1])
         count = len(self.G)
         variables = np.column_stack([self.variables, np.full(count, slack)])
         ones = np.broadcast_to(one, (count, 1, *one.shape))
@@ -113,14 +113,14 @@ def inequality_groups(problem: Problem) -> list[InequalityGroup]:
 
 
 def log_det_groups(problem: Problem) -> list[InequalityGroup]:
-    """The problem's log-dets by the number of variables of their body, a body's and its copies' in different groups."""
-    by_form: dict[tuple[int, int], list[InequalityGroup]] = defaultdict(list)
+    """The log-dets by weight and number of variables of their body, a body's and its copies' in different groups."""
+    by_form: dict[tuple[int, int, float], list[InequalityGroup]] = defaultdict(list)
     count: dict[int, int] = defaultdict(int)  # of log-dets on the same variables
     for term in problem.log_dets:
         variables = np.flatnonzero(problem.S[term.z_slice].any(axis=0))
         G = np.tensordot(problem.S[term.z_slice, variables].T, term.G, axes=1)
         group = InequalityGroup(variables[None], G[None], np.zeros((1, *G.shape[1:])), term.weight)
-        by_form[count[term.first], len(variables)].append(group)
+        by_form[count[term.first], len(variables), term.weight].append(group)
         count[term.first] += 1
     return [_concatenated(alike) for alike in by_form.values()]
 

@@ -22,7 +22,7 @@ from idtool.estimation.problem.problem import Problem
 from idtool.estimation.problem.variables import PieceVariables
 
 ABOVE = 0.01  # of the least cost, by which a fit may be worse
-_FAR = 100.0  # units of a coefficient, beyond which it is as good as free
+_FAR = 100.0  # units of a coefficient from its optimum, beyond which it is as good as free
 _COUPLED = 1e-9  # correlation of two coefficients' columns below which it is rounding
 
 
@@ -73,21 +73,26 @@ class _Search(NamedTuple):
         What the data and constraints allow of all coefficients that are coupled with them.
     rows
         What picks each of them from these, shape (k, p').
+    best
+        Their values at the optimum, shape (k,).
     """
 
     coefficients: Indices
     level_set: LevelSet
     rows: Array
+    best: Array
 
     def limits(self) -> Array:
         """The least and the greatest z, shape (k, 2)."""
-        least = self.level_set.least(np.concatenate([self.rows, -self.rows])).reshape(2, -1)
-        least[least < -_FAR] = -np.inf
-        return np.column_stack([least[0], -least[1]])
+        out_of_sight = np.concatenate([self.best, -self.best]) - _FAR
+        least = self.level_set.least(np.concatenate([self.rows, -self.rows]), out_of_sight)
+        least[least < out_of_sight] = -np.inf
+        lowest, highest = np.split(least, 2)
+        return np.column_stack([lowest, -highest])
 
 
 def _searches(problem: Problem, x: Array, component: Indices, wanted: Indices, level: float) -> Iterator[_Search]:
-    """Searches for the wanted ones of some coefficients that are coupled with each other; none if that is hopeless."""
+    """Searches for the wanted ones of coefficients that are coupled with each other; none if there is no interior."""
     places = np.flatnonzero(np.isin(component, wanted))
     if not len(places):
         return
@@ -96,15 +101,15 @@ def _searches(problem: Problem, x: Array, component: Indices, wanted: Indices, l
         level_set = LevelSet(restricted, start, level)
     except SolverError:
         return
-    rows = np.eye(len(component))
+    rows, best = np.eye(len(component)), restricted.S @ start
     together = max(level_set.batch_size // 2, 1)  # two rows for each coefficient
     for first in range(0, len(places), together):
         chosen = places[first : first + together]
-        yield _Search(component[chosen], level_set, rows[chosen])
+        yield _Search(component[chosen], level_set, rows[chosen], best[chosen])
 
 
 def free_spread(problem: Problem, x: Array) -> Array:
-    """Half of the range of every z without any constraint, SI, shape (p',)."""
+    """Half of the range of every z if the optimum were the one without constraints, SI, shape (p',)."""
     roots = [problem.A]
     z = problem.S @ x
     for term in problem.log_dets:  # to second order
