@@ -323,7 +323,7 @@ def test_shares_make_one_and_ranges_hold_the_value(robot_of: Robots, kind: str, 
         assert len(basis.moves_with) <= 3
         ties = [abs(tied) for _, tied in basis.moves_with]
         assert ties == sorted(ties, reverse=True)
-        assert kind != "none" or basis.constraints < 1e-6
+        assert kind != "none" or basis.constraints < 1e-4  # as accurate as ranges are
         assert asked.text(*asked.name(k).split(".")).startswith(basis_head(asked, k))
         grounds.add(basis.information_source)
     assert len(grounds) >= 2
