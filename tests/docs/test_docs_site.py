@@ -42,6 +42,8 @@ def test_every_page_fits_a_phone_and_has_no_errors(site: Path, opened: Browser) 
     for page in pages():
         name = page.relative_to(PAGES)
         found = opened.use(site / name.with_suffix(".html"), 400, dark=True)
+        if found["wide"]:  # a busy machine may have measured it before the layout was done
+            found = opened.use(site / name.with_suffix(".html"), 400, dark=True)
         assert (found["wrong"], found["wide"]) == ([], False), name
 
 
