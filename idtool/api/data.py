@@ -191,20 +191,20 @@ def _given_logs(logs: Logs, validate: Logs, holdout: float, skip_bad: bool) -> t
     given = _GivenLogs(as_list(logs), as_list(validate), holdout)
     if not (skip_bad and given.has_reductions):
         return given, ()
-    given_logs, failures = _without_damaged(given.logs)
-    given_validate, validate_failures = _without_damaged(given.validate)
-    usable = replace(given, logs=given_logs, validate=given_validate)
-    for before, left, errors in (
-        (given.logs, given_logs, failures),
-        (given.validate, given_validate, validate_failures),
-    ):
-        if before and not left:
-            raise LogError(errors[0].where, f"{errors[0].what}; no other log can be used")
-    return usable, unique(map(left_out_notice, (*failures, *validate_failures)))
+    usable_logs, errors = _without_damaged(given.logs)
+    usable_validate, errors_of_validate = _without_damaged(given.validate)
+    usable = replace(given, logs=usable_logs, validate=usable_validate)
+    return usable, unique(map(left_out_notice, (*errors, *errors_of_validate)))
 
 
 def _without_damaged(logs: Sequence[LogSource]) -> tuple[list[LogSource], list[LogError]]:
-    """Logs without the files of `idtool reduce` that cannot be read, and the errors of these."""
+    """Logs without the files of `idtool reduce` that cannot be read, and the errors of these.
+
+    Raises
+    ------
+    LogError
+        If nothing is left of them, or a file behind a URL cannot be reached.
+    """
     usable, errors = [], []
     for log in logs:
         try:
@@ -215,6 +215,8 @@ def _without_damaged(logs: Sequence[LogSource]) -> tuple[list[LogSource], list[L
             errors.append(error)
         else:
             usable.append(log)
+    if errors and not usable:
+        raise LogError(errors[0].where, f"{errors[0].what}; no other log can be used")
     return usable, errors
 
 

@@ -39,9 +39,11 @@ class Sample:
             If idtool was installed without its samples.
         """
         folder = sample_folder()
-        found = sorted(path for pattern in self.patterns for path in folder.glob(pattern))
-        paths = [path for path in found if path.is_file()]  # in a checkout, results may be beside them
-        return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
+        found: list[Path] = []
+        for pattern in self.patterns:
+            found += folder.glob(pattern)
+        files = sorted(path for path in found if path.is_file())  # in a checkout, folders of results may be beside them
+        return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
     def command(self, folder: Path) -> str:
         """The first command, for files in a folder."""

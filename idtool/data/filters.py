@@ -51,7 +51,7 @@ class LowPass:
         self.reach = len(self.kernel) // 2
         self._taps = self._taps_of(self.kernel)
         self._weight_taps = self._taps_of(np.abs(self.kernel) / np.abs(self.kernel).sum())
-        self._weights: dict[tuple[int, int, int], Array] = {}  # at the ends of batches, of which there are few lengths
+        self._end_weights: dict[tuple[int, int, int], Array] = {}  # batches at an end have few lengths
         # Closer to an end than this, more than 2 % of the weight is missing and what comes out is not of the band.
         beyond = np.abs(np.cumsum(self.kernel)[: self.reach]) > _MAX_MISSING_WEIGHT
         self.edge = self.reach - int(np.argmax(beyond))
@@ -84,11 +84,11 @@ class LowPass:
         return _convolve(_padded(x, *padding), self._taps)[..., outputs] / weight[outputs]
 
     def _weight_at_ends(self, length: int, before: int, after: int) -> Array:
-        """Weight of the kernel that lies on samples that are padded on both sides, at each output."""
+        """Weight of the kernel on samples of a batch, not on zeros before and after it, at each output; shape (n,)."""
         key = length, before, after
-        if key not in self._weights:
-            self._weights[key] = _convolve(_padded(np.ones(length), before, after), self._taps)
-        return self._weights[key]
+        if key not in self._end_weights:
+            self._end_weights[key] = _convolve(_padded(np.ones(length), before, after), self._taps)
+        return self._end_weights[key]
 
     def masked_share(self, mask: Mask, before: int, after: int) -> Array:
         """Share of each filtered sample's weight, by magnitude, that comes from the masked samples; shape (n,)."""

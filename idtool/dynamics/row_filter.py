@@ -141,8 +141,8 @@ class ProjectedRows(RowFilter):
         return self.contacts.gains(self.projector)
 
     @cached_property
-    def _gains_in_time(self) -> Array:
-        """The same, time last, shape (nv, nv, N)."""
+    def _gain_signals(self) -> Array:
+        """Entries of the `_gains` as signals, shape (nv, nv, N)."""
         return np.ascontiguousarray(np.moveaxis(self._gains, 0, -1))
 
     @cached_property
@@ -175,7 +175,7 @@ class ProjectedRows(RowFilter):
             some_columns = slice(first_column, first_column + columns_together)
             for first_row in range(0, len(reached), rows_together):
                 some_rows = slice(first_row, first_row + rows_together)
-                gains = self._gains_in_time[reached[some_rows, None], rows]
+                gains = self._gain_signals[reached[some_rows, None], rows]  # (some of r, k, N)
                 products = np.einsum("rkn,kmn->rmn", gains, columns[:, some_columns])
                 filtered[some_rows, some_columns] = self.batch.filter(products)
         return filtered

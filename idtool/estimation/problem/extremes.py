@@ -277,7 +277,7 @@ class _Line(NamedTuple):
         return end
 
     def derivatives(self, t: Array) -> tuple[Mask, Array, Array]:
-        """Whether the cost is below the level at t, and the first and second derivative there, shape (D,) each."""
+        """Mask of the t with a cost below the level, and the first and second derivatives there, shape (D,) each."""
         parts = self.rates / (1 + t[:, None] * self.rates)
         log_det_parts = self.log_det_rates / (1 + t[:, None] * self.log_det_rates)
         logarithms = np.log1p(t[:, None] * self.log_det_rates) @ self.log_det_weights
