@@ -187,18 +187,18 @@ class _GivenLogs:
 
 
 def _given_logs(logs: Logs, validate: Logs, holdout: float, skip_bad: bool) -> tuple[_GivenLogs, tuple[Notice, ...]]:
-    """The logs and reductions; with ``skip_bad``, without damaged reductions, and notices that name these."""
+    """Logs and holdout as given; with ``skip_bad``, damaged reductions are left out, with a notice for each."""
     given = _GivenLogs(as_list(logs), as_list(validate), holdout)
     if not (skip_bad and given.has_reductions):
         return given, ()
-    usable_logs, errors = _without_damaged(given.logs)
-    usable_validate, errors_of_validate = _without_damaged(given.validate)
+    usable_logs, errors = _without_damaged_reductions(given.logs)
+    usable_validate, errors_of_validate = _without_damaged_reductions(given.validate)
     usable = replace(given, logs=usable_logs, validate=usable_validate)
     return usable, unique(map(left_out_notice, (*errors, *errors_of_validate)))
 
 
-def _without_damaged(logs: Sequence[LogSource]) -> tuple[list[LogSource], list[LogError]]:
-    """Logs without the files of `idtool reduce` that cannot be read, and the errors of these.
+def _without_damaged_reductions(logs: Sequence[LogSource]) -> tuple[list[LogSource], list[LogError]]:
+    """Logs, which are not read here, and readable files of `idtool reduce`, and the errors of the other files.
 
     Raises
     ------
@@ -209,7 +209,7 @@ def _without_damaged(logs: Sequence[LogSource]) -> tuple[list[LogSource], list[L
     for log in logs:
         try:
             _read_reductions([log], with_excerpts=False)
-        except TransferError:
+        except TransferError:  # of the connection: the file may be good
             raise
         except LogError as error:
             errors.append(error)

@@ -141,8 +141,8 @@ class ProjectedRows(RowFilter):
         return self.contacts.gains(self.projector)
 
     @cached_property
-    def _gain_signals(self) -> Array:
-        """Entries of the `_gains` as signals, shape (nv, nv, N)."""
+    def _gains_time_last(self) -> Array:
+        """Gains with time as the last axis, contiguous, shape (nv, nv, N)."""
         return np.ascontiguousarray(np.moveaxis(self._gains, 0, -1))
 
     @cached_property
@@ -156,28 +156,28 @@ class ProjectedRows(RowFilter):
 
     @override
     def filter_columns(self, rows: Indices, columns: Array) -> tuple[Indices, Array]:
-        reached = np.flatnonzero(self._is_nonzero[:, rows].any(axis=1))
+        output_rows = np.flatnonzero(self._is_nonzero[:, rows].any(axis=1))
         k, m, _ = columns.shape
-        if not len(reached):  # unknown forces explain all of the rows
-            return reached, np.empty((0, m, len(self.batch.t)))
+        if not len(output_rows):  # unknown forces explain all of the rows
+            return output_rows, np.empty((0, m, len(self.batch.t)))
         if k <= _FEW_ROWS or m == 1:
-            return reached, self._filtered_sums(reached, rows, columns)
-        gains = self._gains[:, reached[:, None], rows]
-        return reached, self.batch.filter(multiply_by_sample(gains, columns))
+            return output_rows, self._filter_in_blocks(output_rows, rows, columns)
+        gains = self._gains[:, output_rows[:, None], rows]
+        return output_rows, self.batch.filter(multiply_by_sample(gains, columns))
 
-    def _filtered_sums(self, reached: Indices, rows: Indices, columns: Array) -> Array:
-        """Filtered products of gains and columns as sums over rows, part by part; shape (r, m, n)."""
+    def _filter_in_blocks(self, output_rows: Indices, rows: Indices, columns: Array) -> Array:
+        """Filtered products of gains and columns, shape (r, m, n), in blocks of both that stay in the cache."""
         _, m, N = columns.shape
-        filtered = np.empty((len(reached), m, len(self.batch.t)))
-        columns_together = min(m, max(_ENTRIES_TOGETHER // N, 1))
-        rows_together = max(_ENTRIES_TOGETHER // (columns_together * N), 1)
-        for first_column in range(0, m, columns_together):
-            some_columns = slice(first_column, first_column + columns_together)
-            for first_row in range(0, len(reached), rows_together):
-                some_rows = slice(first_row, first_row + rows_together)
-                gains = self._gain_signals[reached[some_rows, None], rows]  # (some of r, k, N)
-                products = np.einsum("rkn,kmn->rmn", gains, columns[:, some_columns])
-                filtered[some_rows, some_columns] = self.batch.filter(products)
+        filtered = np.empty((len(output_rows), m, len(self.batch.t)))
+        columns_per_block = min(m, max(_ENTRIES_TOGETHER // N, 1))
+        rows_per_block = max(_ENTRIES_TOGETHER // (columns_per_block * N), 1)
+        for first_column in range(0, m, columns_per_block):
+            column_block = slice(first_column, first_column + columns_per_block)
+            for first_row in range(0, len(output_rows), rows_per_block):
+                row_block = slice(first_row, first_row + rows_per_block)
+                gains = self._gains_time_last[output_rows[row_block, None], rows]
+                products = np.einsum("rkn,kmn->rmn", gains, columns[:, column_block])
+                filtered[row_block, column_block] = self.batch.filter(products)
         return filtered
 
 

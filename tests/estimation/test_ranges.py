@@ -365,18 +365,18 @@ def test_a_level_at_the_least_cost_has_no_interior(robot_of: Robots, monkeypatch
 def test_one_path_that_cannot_be_followed_leaves_the_others(robot_of: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
     _, problem, x = stated(robot_of, CASES["full"])
     level_set = LevelSet(problem, x, problem.cost(problem.S @ x) * (1 + ABOVE))
-    objectives, enough = np.eye(len(problem.scale))[:7], np.full(7, -np.inf)
-    expected = level_set.least(objectives, enough)
+    objectives, sufficient = np.eye(len(problem.scale))[:7], np.full(7, -np.inf)
+    expected = level_set.least(objectives, sufficient)
     real = LevelSet._least
 
-    def fails_with_the_fourth(self: LevelSet, objectives: Array, enough: Array) -> Array:
+    def fails_with_the_fourth(self: LevelSet, objectives: Array, sufficient: Array) -> Array:
         if objectives[:, 3].any():
             raise np.linalg.LinAlgError
-        return real(self, objectives, enough)
+        return real(self, objectives, sufficient)
 
     monkeypatch.setattr(LevelSet, "_least", fails_with_the_fourth)
     expected[3] = np.nan
-    np.testing.assert_allclose(level_set.least(objectives, enough), expected, rtol=1e-6)
+    np.testing.assert_allclose(level_set.least(objectives, sufficient), expected, rtol=1e-6)
 
 
 def test_a_coefficient_far_from_zero_has_a_range(robot_of: Robots) -> None:

@@ -5,10 +5,12 @@ inside, along a central path (Nesterov & Nemirovskii 1994; Boyd & Vandenberghe, 
 
     x(tau) = argmin of tau c · x + phi(x),  phi(x) = −w log(level − f(x)) − Σ log det X_i(x).
 
-The level is one inequality among many: with a weight w of 1, the path would come too near to it, and steps be short.
-All paths begin at the centre, where phi is least. They are followed together: each step of Newton's method is taken for
-all objectives at once. Near the end of a path the gap to the least value is about a / tau; as d(c · x)/dtau =
-−c · H⁻¹ c, it is tau c · H⁻¹ c to first order in 1 / tau, and this is subtracted.
+The level has a weight w that grows with the rows of the inequalities: with 1, their barrier would outweigh it, paths
+would run close to the level, and steps be short. All paths begin at the centre, where phi is least. They are followed
+together: each step of Newton's method is taken for all objectives at once.
+
+Near the end of a path, c · x(tau) is about the least value + a / tau with a constant a, so d(c · x)/dtau is −a / tau².
+On the path, this derivative is −c · H⁻¹ c. Hence the gap a / tau is about tau c · H⁻¹ c, which is subtracted.
 
 Letters: D objectives c; m variables x; H (D, m, m) Hessian of phi; tau the inverse of mu in `barrier`; A, S, E, e, f as
 in `problem`, X_i as in `barrier`.
@@ -30,19 +32,19 @@ from idtool.estimation.problem.inequality_groups import InequalityGroup, inequal
 from idtool.estimation.problem.problem import Problem
 
 _ACCURACY = 1e-3  # greatest gap at the end, relative to the way from the centre; its estimate is then subtracted
-# Squared Newton decrements (Boyd & Vandenberghe, section 9.5) at which …
-_CENTERED = 1e-3  # … the centre is found
-_NEXT_TAU = 0.3  # … tau grows
-_ARRIVED = 0.1  # … c · x is near that of the path
-_FIRST_TAU = 10.0  # in units of the barrier's own length along c at the centre
+# Greatest squared Newton decrement (Boyd & Vandenberghe, section 9.5) at which …
+_CENTER_DECREMENT = 1e-3  # … a point counts as the centre
+_GROWTH_DECREMENT = 0.3  # … tau is increased
+_FINAL_DECREMENT = 0.1  # … a path may end
+_FIRST_TAU = 10.0  # times 1 / √(c · H⁻¹ c) at the centre
 _TAU_FACTOR = 10.0
-_ROWS_PER_LEVEL = 8  # rows of inequalities for each 1 of w
+_ROWS_PER_WEIGHT = 8  # w is the number of rows of all X_i divided by this, and at least 1
 _MOST_STEPS = 100
-_MOST_OF_WAY = 0.7  # to the first inequality that a step goes at the most: nearer, it would take many to get away
+_BOUNDARY_FRACTION = 0.7  # greatest step relative to one to the boundary: near it, many would be needed to get away
 _MOST_HALVINGS = 40
 _MOST_SEARCH_STEPS = 25
 _SEARCH_ACCURACY = 1e-2  # of a step's length
-_FIXED = 1e-9  # length of an objective in the space that exact constraints leave, relative to its own, that is rounding
+_CONSTANT = 1e-9  # relative norm in the space that exact constraints leave, below which an objective is constant
 _BATCH_ENTRIES = 2**20  # of the Hessians of objectives that are followed together
 
 
@@ -69,15 +71,15 @@ class LevelSet:
         self._log_dets = log_det_groups(problem)
         self._S = problem.S
         self._AS, self._b = problem.A @ problem.S, problem.b
-        self._slope = np.zeros(problem.variables)
-        self._room = level - problem.constant
+        self._linear_cost = np.zeros(problem.variables)
+        self._reduced_level = level - problem.constant
         for term in problem.log_dets:
-            self._slope += problem.S[term.z_slice].T @ term.slope
-            self._room -= term.offset
-        self._P = 2 * self._AS.T @ self._AS
+            self._linear_cost += problem.S[term.z_slice].T @ term.slope
+            self._reduced_level -= term.offset
+        self._quadratic_hessian = 2 * self._AS.T @ self._AS
         ES = problem.E @ problem.S
-        self._N = null_space(ES) if len(ES) else None
-        self._weight = max(sum(group.rows for group in self._groups) / _ROWS_PER_LEVEL, 1.0)
+        self._null_basis = null_space(ES) if len(ES) else None
+        self._weight = max(sum(group.rows for group in self._groups) / _ROWS_PER_WEIGHT, 1.0)
         try:
             self._center = self._find_center(self._strictly_inside(problem, start, level))
         except np.linalg.LinAlgError:  # rounding has left nothing
@@ -88,74 +90,86 @@ class LevelSet:
         """Number of objectives that are best followed together, for the memory that they take."""
         return max(_BATCH_ENTRIES // len(self._center) ** 2, 1)
 
-    def least(self, objectives: Array, enough: Array) -> Array:
-        """Least values of objective · z.
+    def least(self, objectives: Array, sufficient: Array) -> Array:
+        """Least values of objective · z over the level set, z = S x.
 
-        They are accurate to about 1e-4 of the way from the centre, on either side.
+        Estimates with an error of about 1e-4 of the way from the centre, of either sign. Where a path falls below
+        ``sufficient``, it is left early: its estimate is then only known to be below this.
 
         Parameters
         ----------
         objectives
             Shape (D, p').
-        enough
-            Values below which it need not be the least one, shape (D,).
+        sufficient
+            Shape (D,).
 
         Returns
         -------
         Shape (D,); NaN where a path could not be followed.
         """
         try:
-            return self._least(objectives, enough)
+            return self._least(objectives, sufficient)
         except np.linalg.LinAlgError:  # so near the boundary that rounding has left nothing: of one of the paths
             if len(objectives) == 1:
                 return np.array([np.nan])
             halves = [slice(len(objectives) // 2), slice(len(objectives) // 2, None)]
-            return np.concatenate([self.least(objectives[half], enough[half]) for half in halves])
+            return np.concatenate([self.least(objectives[half], sufficient[half]) for half in halves])
 
-    def _least(self, objectives: Array, enough: Array) -> Array:
+    def _least(self, objectives: Array, sufficient: Array) -> Array:
         """As in `least`."""
         c = objectives @ self._S
         values = np.asarray(c @ self._center)
-        free = c if self._N is None else c @ self._N
-        is_free = np.linalg.norm(free, axis=1) > _FIXED * np.linalg.norm(c, axis=1)
-        if not is_free.any():
+        projected_c = c if self._null_basis is None else c @ self._null_basis
+        varies = np.linalg.norm(projected_c, axis=1) > _CONSTANT * np.linalg.norm(c, axis=1)
+        if not varies.any():
             return values
-        paths = np.flatnonzero(is_free)
+        paths = np.flatnonzero(varies)
         values[paths] = np.nan
 
         c = c[paths]
         x = np.tile(self._center, (len(paths), 1))
         _, H = self._derivatives(x[:1])
-        tau = _FIRST_TAU / np.sqrt(np.sum(c * self._solve(H, c.T[None])[0].T, axis=1))
+        H_inverse_c = self._solve(H, c.T[None])[0].T  # all paths begin with the same H
+        tau = _FIRST_TAU / np.sqrt(_dot(c, H_inverse_c))
         for _ in range(_MOST_STEPS):
             gradient, H = self._derivatives(x)
-            to_center, downhill = -np.moveaxis(self._solve(H, np.stack([gradient, c], axis=-1)), -1, 0)
-            step = to_center + tau[:, None] * downhill
+            directions = -self._solve(H, np.stack([gradient, c], axis=-1))
+            centering, descent = directions[..., 0], directions[..., 1]
+            step = centering + tau[:, None] * descent
             squared_decrement = -_dot(step, gradient + tau[:, None] * c)
-            value, gap = _dot(c, x), -tau * _dot(c, downhill)
-            is_near_end = gap <= _ACCURACY * (c @ self._center - value)
-            has_arrived = is_near_end & (squared_decrement < _ARRIVED) | (value < enough[paths])
+
+            value = _dot(c, x)
+            gap = -tau * _dot(c, descent)
+            way = c @ self._center - value
+            is_near_end = gap <= _ACCURACY * way
+            is_converged = is_near_end & (squared_decrement < _FINAL_DECREMENT)
+            has_arrived = is_converged | (value < sufficient[paths])
             values[paths[has_arrived]] = value[has_arrived] - gap[has_arrived]
             if has_arrived.all():
                 break
 
-            tau = np.where(~is_near_end & (squared_decrement < _NEXT_TAU), _TAU_FACTOR * tau, tau)
-            step = to_center + tau[:, None] * downhill
+            grows = ~is_near_end & (squared_decrement < _GROWTH_DECREMENT)
+            tau = np.where(grows, _TAU_FACTOR * tau, tau)
+            step = centering + tau[:, None] * descent
             goes_on = ~has_arrived
             paths, c, x, tau, step = paths[goes_on], c[goes_on], x[goes_on], tau[goes_on], step[goes_on]
             x = x + self._step_length(x, step, tau * _dot(c, step))[:, None] * step
         return values
 
     def _strictly_inside(self, problem: Problem, start: Array, level: float) -> Array:
-        """A point strictly inside: between the optimum and one far inside the inequalities."""
+        """A point strictly inside, with a cost below the level.
+
+        The barrier method, to a gap of all the room, gives a point inside the inequalities. It is moved towards the
+        optimum until its cost is low enough; the set is convex, so it stays inside.
+        """
         room = level - problem.cost(problem.S @ start)
         if not room > 0:
             raise SolverError("solver", "the level is not above the least cost")
-        inside = Barrier(problem, self._P, 2 * self._AS.T @ self._b, gap=room).x
+        interior = Barrier(problem, self._quadratic_hessian, 2 * self._AS.T @ self._b, gap=room).x
         for _ in range(_MOST_HALVINGS):
-            if problem.cost(problem.S @ inside) < level - room / 2:
-                return inside
-            inside = (inside + start) / 2
+            if problem.cost(problem.S @ interior) < level - room / 2:
+                return interior
+            interior = (interior + start) / 2
         raise SolverError("solver", "found nothing inside of what the data allow")
 
     def _find_center(self, x: Array) -> Array:
@@ -164,45 +178,52 @@ class LevelSet:
         for _ in range(_MOST_STEPS):
             gradient, H = self._derivatives(x)
             step = -self._solve(H, gradient[..., None])[..., 0]
-            if -_dot(step, gradient)[0] < _CENTERED:
+            if -_dot(step, gradient)[0] < _CENTER_DECREMENT:
                 return np.asarray(x[0])
             x = x + self._step_length(x, step, np.zeros(1))[:, None] * step
         raise SolverError("solver", "could not find the middle of what the data allow")
 
     def _derivatives(self, x: Array) -> tuple[Array, Array]:
-        """Gradient, shape (D, m), and Hessian, shape (D, m, m), of phi at points of shape (D, m)."""
+        """Gradient, shape (D, m), and Hessian, shape (D, m, m), of phi at points x, shape (D, m).
+
+        With g = ∇f and s = level − f, −w log s has the gradient w g / s and the Hessian w ∇²f / s + w g gᵀ / s².
+        """
         residual = x @ self._AS.T - self._b
-        cost_gradient = 2 * residual @ self._AS + self._slope
-        H = np.tile(self._P, (len(x), 1, 1))
-        _add_derivatives(self._log_dets, x, cost_gradient, H)
-        room = self._room_left(x, residual)[:, None]
-        gradient = self._weight * cost_gradient / room
-        H *= (self._weight / room)[..., None]
-        H += gradient[:, :, None] * (cost_gradient / room)[:, None, :]
+        g = 2 * residual @ self._AS + self._linear_cost
+        H = np.tile(self._quadratic_hessian, (len(x), 1, 1))
+        _add_derivatives(self._log_dets, x, g, H)
+        s = self._slack(x, residual)[:, None]
+        gradient = self._weight * g / s
+        H *= (self._weight / s)[..., None]
+        H += gradient[:, :, None] * (g / s)[:, None, :]
         _add_derivatives(self._groups, x, gradient, H)
         return gradient, H
 
-    def _room_left(self, x: Array, residual: Array) -> Array:
+    def _slack(self, x: Array, residual: Array) -> Array:
         """Level − f, shape (D,)."""
-        cost = np.sum(residual**2, axis=1) + x @ self._slope
+        cost = np.sum(residual**2, axis=1) + x @ self._linear_cost
         for group in self._log_dets:
             cost = cost - group.log_det(x)
-        return np.asarray(self._room - cost)
+        return np.asarray(self._reduced_level - cost)
 
     def _solve(self, H: Array, right: Array) -> Array:
-        """Solutions of H y = right in the space that exact constraints leave, shape (D, m, k). H is overwritten."""
-        if self._N is not None:
-            H, right = self._N.T @ H @ self._N, self._N.T @ right
+        """Solutions of H y = right in the space that exact constraints leave, shape (D, m, k). H may be overwritten."""
+        if self._null_basis is not None:
+            H, right = self._null_basis.T @ H @ self._null_basis, self._null_basis.T @ right
         y = np.empty(right.shape)
         for i, (matrix, columns) in enumerate(zip(H, right, strict=True)):
+            # By Cholesky's factors; a symmetric matrix in C order is its transpose in Fortran's, and is not copied.
             _, y[i], info = lapack.dposv(matrix.T, columns, overwrite_a=True)
             if info:
                 raise np.linalg.LinAlgError
-        return y if self._N is None else np.asarray(self._N @ y)
+        return y if self._null_basis is None else np.asarray(self._null_basis @ y)
 
-    def _step_length(self, x: Array, step: Array, slope: Array) -> Array:
-        """Line search: the t that minimises slope · t + phi(x + t · step), short of an inequality's end; shape (D,)."""
-        line = self._line(x, step, slope)
+    def _step_length(self, x: Array, step: Array, objective_slope: Array) -> Array:
+        """Step lengths t that minimise objective_slope · t + phi(x + t · step), kept off the inequalities; shape (D,).
+
+        By Newton's method in one variable, with bisection where that leaves the bracket.
+        """
+        line = self._line(x, step, objective_slope)
         boundary = line.boundary()
         low, high = np.zeros(len(x)), boundary
         t = np.minimum(1.0, high / 2)
@@ -218,59 +239,59 @@ class LevelSet:
             middle = np.where(np.isfinite(high), (low + high) / 2, 2 * t)
             is_between = is_inside & (low < newton) & (newton < high)
             t = np.where(is_found, t, np.where(is_between, newton, middle))
-        return np.minimum(np.where(is_found, t, low), _MOST_OF_WAY * boundary)
+        return np.minimum(np.where(is_found, t, low), _BOUNDARY_FRACTION * boundary)
 
-    def _line(self, x: Array, step: Array, slope: Array) -> _Line:
-        """Slope · t + phi(x + t · step) as a function of t."""
+    def _line(self, x: Array, step: Array, objective_slope: Array) -> _Line:
+        """The function of t that `_step_length` minimises."""
         residual = x @ self._AS.T - self._b
         change = step @ self._AS.T
         none = np.zeros((len(x), 0))
         log_det_rates = [group.rates(x, step) for group in self._log_dets]
         weights = [np.full(group.rows, group.weight) for group in self._log_dets]
         return _Line(
-            slope=slope,
+            objective_slope=objective_slope,
             rates=np.concatenate([none, *(group.rates(x, step) for group in self._groups)], axis=1),
             log_det_rates=np.concatenate([none, *log_det_rates], axis=1),
             log_det_weights=np.concatenate([none[0], *weights]),
             weight=self._weight,
-            room=self._room_left(x, residual),
-            cost_slope=2 * _dot(residual, change) + step @ self._slope,
+            slack=self._slack(x, residual),
+            cost_slope=2 * _dot(residual, change) + step @ self._linear_cost,
             cost_curvature=2 * _dot(change, change),
         )
 
 
 class _Line(NamedTuple):
-    """slope · t + phi along D lines, in closed form.
+    """Restriction of objective and phi to D lines x + t · step, in closed form.
 
-    A group's −log det is −Σ log(1 + t r) and a constant, r its rates; so is a log-det of the cost, with its weight.
+    Rates r are the eigenvalues of X⁻¹ dX, dX the change of X along the step: det X(t) = det X(0) · Π (1 + t r).
 
     Attributes
     ----------
-    slope
-        Shape (D,).
+    objective_slope
+        Derivative of tau c · x, shape (D,).
     rates
         Of all inequalities, shape (D, R).
     log_det_rates, log_det_weights
         Of all log-dets, shape (D, L) and (L,).
     weight
         Of the level.
-    room
+    slack
         level − f at t = 0, shape (D,).
     cost_slope, cost_curvature
         Derivatives of f without the log-dets at t = 0, shape (D,).
     """
 
-    slope: Array
+    objective_slope: Array
     rates: Array
     log_det_rates: Array
     log_det_weights: Array
     weight: float
-    room: Array
+    slack: Array
     cost_slope: Array
     cost_curvature: Array
 
     def boundary(self) -> Array:
-        """The t up to which the inequalities hold, shape (D,)."""
+        """Largest t up to which inequalities and log-dets hold, infinite if they always do, shape (D,)."""
         least_rate = np.concatenate([self.rates, self.log_det_rates], axis=1).min(axis=1, initial=0.0)
         end = np.full(len(least_rate), np.inf)
         np.divide(-1.0, least_rate, out=end, where=least_rate < 0)
@@ -281,13 +302,13 @@ class _Line(NamedTuple):
         parts = self.rates / (1 + t[:, None] * self.rates)
         log_det_parts = self.log_det_rates / (1 + t[:, None] * self.log_det_rates)
         logarithms = np.log1p(t[:, None] * self.log_det_rates) @ self.log_det_weights
-        room = self.room - self.cost_slope * t - self.cost_curvature * t**2 / 2 + logarithms
-        is_inside = room > 0
-        room = np.where(is_inside, room, 1.0)
-        room_slope = -self.cost_slope - self.cost_curvature * t + log_det_parts @ self.log_det_weights
-        room_curvature = -self.cost_curvature - log_det_parts**2 @ self.log_det_weights
-        first = self.slope - parts.sum(axis=1) - self.weight * room_slope / room
-        second = np.sum(parts**2, axis=1) + self.weight * ((room_slope / room) ** 2 - room_curvature / room)
+        slack = self.slack - self.cost_slope * t - self.cost_curvature * t**2 / 2 + logarithms
+        is_inside = slack > 0
+        slack = np.where(is_inside, slack, 1.0)
+        slack_slope = -self.cost_slope - self.cost_curvature * t + log_det_parts @ self.log_det_weights
+        slack_curvature = -self.cost_curvature - log_det_parts**2 @ self.log_det_weights
+        first = self.objective_slope - parts.sum(axis=1) - self.weight * slack_slope / slack
+        second = np.sum(parts**2, axis=1) + self.weight * ((slack_slope / slack) ** 2 - slack_curvature / slack)
         return is_inside, first, second
 
 
