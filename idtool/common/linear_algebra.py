@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
-from idtool.common.arrays import Array
+from idtool.common.arrays import Array, Indices
 
 _TRIANGLE_BLOCK = 32  # columns that tpqrt eliminates together
+_MOST_ROWS = 4  # for each column, above which rows are replaced by their triangular factor
 _RANK = 1e-9  # ratio to the largest singular value, up to which one counts as 0
 
 
@@ -104,6 +107,35 @@ def add_to_triangle(R: Array, rows: Array) -> None:
     is_triangle = count <= width and not np.tril(further[:, :count], -1).any()
     block = min(_TRIANGLE_BLOCK, width)
     R[first:, first:] = lapack.dtpqrt(count if is_triangle else 0, block, R[first:, first:], further)[0]
+
+
+def stacked_rows(parts: Sequence[tuple[Array, Indices]], width: int) -> Array:
+    """Rows over all columns or, if these are far fewer, the triangular factor of the rows.
+
+    Parameters
+    ----------
+    parts
+        Rows over some of the columns, shape (k, m), or their triangular factor; and which these are, shape (m,). Those
+        with most columns come first.
+    width
+        Number of columns.
+
+    Returns
+    -------
+    Shape (rows, width).
+    """
+
+    def on_all_columns(rows: Array, columns: Indices) -> Array:
+        expanded = np.zeros((len(rows), width), order="F")
+        expanded[:, columns] = rows
+        return expanded
+
+    if sum(len(rows) for rows, _ in parts) <= _MOST_ROWS * width:
+        return np.concatenate([np.zeros((0, width)), *(on_all_columns(*part) for part in parts)])
+    R = np.zeros((width, width), order="F")
+    for part in reversed(parts):
+        add_to_triangle(R, on_all_columns(*part))
+    return np.ascontiguousarray(R)
 
 
 def null_space(matrix: ArrayLike) -> Array:

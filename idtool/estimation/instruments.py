@@ -164,7 +164,8 @@ def instrumented_blocks(experiment: Experiment, made: Sequence[Instruments], pro
         If a joint has no sample that counts.
     """
     of_run = {id(each.run): each for each in made}
-    return experiment.blocks(lambda run: instrumented_rows(experiment, of_run[id(run)]), progress)
+    columns = [2 * len(active) for active in experiment.equation.active()]
+    return experiment.blocks(lambda run: instrumented_rows(experiment, of_run[id(run)]), progress, columns=columns)
 
 
 def smoothing(q: Array, dt: float, band_hz: float) -> float:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,20 +12,23 @@ from typing import Any
 import mujoco  # type: ignore[import-untyped]
 import numpy as np
 import pytest
+import yaml
 from commands import LEG, SAMPLES, TRAIN
 from numpy.typing import NDArray
 from paths import CHECKOUT, REAL
+from robots import chain, link
 from spatial_arm import ARM, JOINTS, recorded, reference, spec_of
 
 from idtool.common.exceptions import LogError
 from idtool.data.logs.log import JointLog, make_log
 from idtool.diagnosis.data_faults import find_data_faults
 from idtool.diagnosis.data_faults.channel_fit import ChannelFit
+from idtool.diagnosis.data_faults.channel_mistakes import possible_mistakes
 from idtool.diagnosis.data_faults.torque_scale import check_torques
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import parse_config, read_config
-from idtool.robot.urdf.reading import read_robot
+from idtool.robot.urdf.reading import UrdfJoint, parse_robot, read_robot
 
 Array = NDArray[np.float64]
 Signals = dict[str, Array]
@@ -32,6 +38,7 @@ Named = set[tuple[str, str | None]]
 needs_data = pytest.mark.skipif(not REAL.is_dir(), reason=f"the real logs are not in {REAL}")
 DEGREES = 180 / np.pi
 SECONDS = 6.0
+LONG_LOGS = CHECKOUT / "benchmarks" / "long_logs.py"
 LEVELS = {"q": 2e-6, "v": 2e-3, "tau": 0.02}  # white noise [rad, rad/s, N·m]
 
 
@@ -290,8 +297,8 @@ def test_physics_is_no_fault(of_arm: Callable[..., Experiment], act: Callable[[A
 
 def with_inertials(text: str, factors: Mapping[str, float]) -> str:
     """The URDF with the mass and inertia of links times a factor."""
-    for link, factor in factors.items():
-        before, start, rest = text.partition(f'<link name="{link}"><inertial>')
+    for name, factor in factors.items():
+        before, start, rest = text.partition(f'<link name="{name}"><inertial>')
         inertial, end, rest = rest.partition("</inertial>")
         parts = inertial.split('"')
         scaled = [f"{factor * float(x):.12g}" if i % 2 and i > 1 else x for i, x in enumerate(parts)]
@@ -408,6 +415,38 @@ def test_the_fit_is_made_from_a_sample_of_bounded_size(of_arm: Callable[..., Exp
     rows = [sum(len(motion.t) for motion in ChannelFit(of_arm(s)).motions) for s in (arm, longer)]
     assert rows[1] < 8 * 400
     assert rows[0] > 800
+
+
+def joints_in_a_row(count: int) -> list[UrdfJoint]:
+    urdf = chain(*(link(i) for i in range(1, count + 1)))
+    return list(parse_robot(Path("chain.urdf"), urdf.encode()).joints.values())
+
+
+@pytest.mark.parametrize(
+    ("joints", "suspects", "exchanged", "count"), [(6, 6, 6, 64), (20, 20, 9, 169), (60, 2, 2, 10)]
+)
+def test_mistakes_of_many_joints_are_looked_for_in_few(joints: int, suspects: int, exchanged: int, count: int) -> None:
+    """Three of each suspect and of each pair that may be exchanged, and all torques turned round."""
+    group = list(range(joints))
+    found = possible_mistakes(
+        group, group[:suspects], group[:exchanged], joints_in_a_row(joints), set(), set(), np.zeros(joints)
+    )
+    assert len(found) == count == 3 * suspects + 3 * math.comb(exchanged, 2) + 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", ["tau of b0_j11", "q v of b0_j14", "tau of b0_j2 b0_j17"])
+def test_wrong_signs_are_found_in_a_chain_of_20_joints(tmp_path: Path, change: str) -> None:
+    """In a few minutes, not hours."""
+    subprocess.run(
+        [sys.executable, LONG_LOGS, tmp_path, "--branches", "1", "--length", "20", "--minutes", "0.33"], check=True
+    )
+    signals, joints = (words.split() for words in change.split(" of "))
+    config = yaml.safe_load((tmp_path / "robot.yaml").read_text())
+    config["log"] = {"scale": {signal: dict.fromkeys(joints, -1.0) for signal in signals}}
+    settings = parse_config(config, "robot.yaml")
+    experiment = prepare(read_robot(tmp_path / "robot.urdf"), settings, [tmp_path / "log_0.mcap"])
+    assert named(experiment) == of("wrong_sign", *joints)
 
 
 @needs_data

@@ -166,6 +166,10 @@ def test_of_a_long_log_windows_are_simulated_that_spread_over_it(discs: Build, m
 
     monkeypatch.setattr(module, "simulate", nearly)
     experiment = discs(swinging(150), swinging(50))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_MANY_JOINTS", 1)  # of which a quarter is simulated, since there are twice as many
+        found = evaluate_rollouts(experiment, {"model": experiment.equation.prior}, True, quietly)
+    assert (found.windows, found.available) == (15, 200)
     found = evaluate_rollouts(experiment, {"model": experiment.equation.prior}, True, quietly)
     assert (found.windows, found.available) == (60, 200)
     starts = {name: np.array([part.start for part in windows]) / RATE for name, windows in seen.items()}

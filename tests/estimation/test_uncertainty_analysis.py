@@ -23,7 +23,8 @@ from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.dataset.reduction import Factor
 from idtool.estimation.fit import Fit, fit
 from idtool.estimation.identification import estimate_from_logs
-from idtool.estimation.uncertainty import UncertaintyAnalysis, uncertainty_analysis
+from idtool.estimation.instruments import instrumented_blocks, instruments
+from idtool.estimation.uncertainty import UncertaintyAnalysis, bias, uncertainty_analysis
 from idtool.estimation.uncertainty.cluster_robust import ClusterRobustEstimate, cluster_robust_estimate
 from idtool.estimation.uncertainty.standard_errors import Uncertainty, least_squares_uncertainty
 from idtool.robot.config import WEAK_PRIOR, read_config
@@ -209,6 +210,22 @@ def test_where_blocks_are_too_short_the_spectrum_has_a_say(monkeypatch: pytest.M
     np.testing.assert_allclose(analysis_with(1.0).uncertainty.of(base()), 3 * plain.of(base()), rtol=1e-6)
     for analysis in (many, few):
         assert any("correlated over more than" in said for said in texts(analysis.notices))
+
+
+def test_bias_is_not_looked_for_where_it_would_take_much_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The memory that is expected is that of the factors."""
+    leg = fitted()
+    used, theta = leg.experiment, leg.estimate.theta
+    made = instruments(used, theta, silent)
+    taken = sum(own.R.nbytes for log in instrumented_blocks(used, made, silent) for part in log.parts for own in part)
+    identification = estimate_from_logs(used, "ls", silent)
+    expected = bias._expected_bytes(used, identification.data)
+    assert expected == pytest.approx(taken, rel=0.05)
+
+    monkeypatch.setattr(bias, "_MOST_BYTES", expected - 1)
+    assert bias.paired_estimates(used, identification, silent) is None
+    monkeypatch.setattr(bias, "_MOST_BYTES", expected)
+    assert bias.paired_estimates(used, identification, silent) is not None
 
 
 @pytest.fixture

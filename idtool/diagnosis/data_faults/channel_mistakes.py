@@ -76,7 +76,13 @@ class Mistake:
 
 
 def possible_mistakes(
-    group: Sequence[int], joints: Sequence[UrdfJoint], inverted: set[int], out_of_range: set[int], excess: Array
+    group: Sequence[int],
+    suspects: Sequence[int],
+    exchanged: Sequence[int],
+    joints: Sequence[UrdfJoint],
+    inverted: set[int],
+    out_of_range: set[int],
+    excess: Array,
 ) -> list[Mistake]:
     """Mistakes in the channels of joints that share bodies, the more likely ones first.
 
@@ -84,6 +90,10 @@ def possible_mistakes(
     ----------
     group
         Indices of the joints.
+    suspects
+        Those of them whose channels may be wrong, if not those of all are.
+    exchanged
+        Those of them of which two may be wrong, or stand under each other's names.
     joints
         All joints.
     inverted
@@ -95,25 +105,28 @@ def possible_mistakes(
     """
     names = [joint.name for joint in joints]
     nv = len(joints)
-    pairs = list(itertools.combinations(group, 2))
-    mistakes = [_position_unit(subset, joints) for subset in _subsets_of_wrong_unit(group, out_of_range)]
-    mistakes += [_inverted_position(j, nv) for j in group if j in inverted]
-    mistakes += [_inverted_torque(subset, nv) for subset in _subsets(group)]
+    pairs = list(itertools.combinations(exchanged, 2))
+    mistakes = [_position_unit(subset, joints) for subset in _subsets_of_wrong_unit(group, out_of_range, pairs)]
+    mistakes += [_inverted_position(j, nv) for j in suspects if j in inverted]
+    mistakes += [_inverted_torque(subset, nv) for subset in _subsets(group, suspects, pairs)]
     mistakes += [torque_order(_swap(nv, i, k), names) for i, k in pairs]
-    mistakes += [_inverted_position(j, nv) for j in group if j not in inverted]
-    mistakes += [_inverted_joint(j, nv) for j in group]
+    mistakes += [_inverted_position(j, nv) for j in suspects if j not in inverted]
+    mistakes += [_inverted_joint(j, nv) for j in suspects]
     mistakes += [_joint_order(_swap(nv, i, k), names) for i, k in pairs]
     if len(group) > 1:
-        for j in group:
+        for j in suspects:
             if abs(excess[j]) > _MIN_EXCESS:
                 mistakes.append(_torque_unit(j, 10 ** (-3 * np.sign(excess[j])), nv))
     return mistakes
 
 
-def _subsets_of_wrong_unit(group: Sequence[int], out_of_range: set[int]) -> list[tuple[int, ...]]:
+def _subsets_of_wrong_unit(
+    group: Sequence[int], out_of_range: set[int], pairs: Sequence[tuple[int, int]]
+) -> list[tuple[int, ...]]:
     """Joints whose positions may be in a wrong unit, larger subsets first: joints mostly have one unit."""
-    subsets = list(reversed(_subsets(sorted(out_of_range & set(group)))))
-    if subsets and len(subsets[0]) < len(group):
+    possible = [j for j in group if j in out_of_range]
+    subsets = list(reversed(_subsets(possible, possible, [pair for pair in pairs if out_of_range.issuperset(pair)])))
+    if subsets and len(possible) < len(group):
         subsets.insert(1, tuple(group))
     return subsets
 
@@ -185,10 +198,11 @@ def _joint_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
     return replace(torques, details=tuple(details), position=change)
 
 
-def _subsets(group: Sequence[int]) -> list[tuple[int, ...]]:
-    """Subsets, small ones first: all of a few joints; of many, those of one, two or all."""
-    sizes = range(1, len(group) + 1) if len(group) <= _MAX_JOINTS else (1, 2, len(group))
-    return [subset for size in sizes for subset in itertools.combinations(group, size)]
+def _subsets(group: Sequence[int], suspects: Sequence[int], pairs: Sequence[tuple[int, int]]) -> list[tuple[int, ...]]:
+    """Subsets, small ones first: all of a few joints; of many, single suspects, the given pairs and the whole."""
+    if len(group) <= _MAX_JOINTS:
+        return [subset for size in range(1, len(group) + 1) for subset in itertools.combinations(group, size)]
+    return [*itertools.combinations(suspects, 1), *pairs, tuple(group)]
 
 
 def _swap(nv: int, i: int, k: int) -> list[int]:

@@ -9,6 +9,7 @@ Letters as in `channel_fit`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
@@ -31,6 +32,9 @@ _MAX_MEAN_RATIO = 0.35  # of the mean of u, after over before
 _MAX_FINAL_MEAN = 0.15  # of u, above which no fault is reported in the end
 _EQUAL_GAIN = 0.7  # difference of two gains below which the preferred mistake is taken
 _MAX_ROUNDS = 4
+_MISTAKES = 3  # that are looked for in each joint and in each pair of joints
+_MOST_WORK = 3.5e9  # mistakes of a group that are undone one by one, times the cube of the number of coefficients
+_FEWEST_SUSPECTS = 2  # joints of a group whose channels are suspected, however long it takes
 _NO_FIT = 1e9  # u where no fit is found at all
 _STAGE = "looking for wrong channels"
 _MIN_ORDER_GAIN = 2.0  # as `_MIN_GAIN`, of another order of the torques, with unconstrained coefficients
@@ -165,18 +169,35 @@ class ChannelSearch:
         """
         out_of_range = self._out_of_range()
         inverted = {j for j, joint in enumerate(self.joints) if self.gains.get(joint.name, 1.0) < 0}
-        suspects = []
+        by_group = []
         for group in self.fit.groups:
             mistakes: list[Mistake] = []
             if max(u[group]) > _SUSPICIOUS:
-                indices = list(map(int, group))
-                mistakes = possible_mistakes(indices, self.joints, inverted, out_of_range, self.fit.excess)
+                suspects, exchanged = self._suspects(u, group)
+                mistakes = possible_mistakes(
+                    group.tolist(), suspects, exchanged, self.joints, inverted, out_of_range, self.fit.excess
+                )
             if max(u) == _NO_FIT:
                 mistakes = [mistake for mistake in mistakes if mistake.fault == "wrong_unit"]
             if any(j in out_of_range and self._names[j] in self.computed for j in group):
                 mistakes = []  # the torque is computed from impossible positions and shows nothing
-            suspects.append([one for one in mistakes if one.position or self._largest_gain(u, one, group) > _MIN_GAIN])
-        return suspects
+            by_group.append([one for one in mistakes if one.position or self._largest_gain(u, one, group) > _MIN_GAIN])
+        return by_group
+
+    def _suspects(self, u: Array, group: Indices) -> tuple[list[int], list[int]]:
+        """Joints of a group whose channels are suspected, and those that two mistakes at once are looked for in.
+
+        All of a few joints; of many, those that are explained worst: for each mistake, all bodies are fitted once more,
+        which takes about as long as the cube of the number of their coefficients.
+        """
+        most = int(_MOST_WORK / len(self.fit.equation.coefficients) ** 3)
+        worst_first = group[np.argsort(-u[group], kind="stable")].tolist()
+        suspects = worst_first[: max(most // _MISTAKES, _FEWEST_SUSPECTS)]
+        most_pairs = (most - _MISTAKES * len(suspects)) // _MISTAKES
+        count = _FEWEST_SUSPECTS
+        while math.comb(count + 1, 2) <= most_pairs and count < len(suspects):
+            count += 1
+        return sorted(suspects), sorted(suspects[:count])
 
     def _largest_gain(self, u: Array, mistake: Mistake, group: Indices) -> float:
         """Bound on the gain from undoing a mistake of the torques alone."""

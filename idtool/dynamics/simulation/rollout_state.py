@@ -13,7 +13,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
 
-_BISECTIONS = 40
+_SECTIONS, _DIVISIONS = 32, 8  # of an interval in which a curve crosses zero, of which 32⁻⁸ is left
 _BY_COLUMN = ("q", "v", "force", "friction_level", "s", "sticking", "a", "hysteresis")
 
 
@@ -116,15 +116,25 @@ def cubic_hermite(x: Array, v0: Array, v1: Array, a0: Array, a1: Array) -> Array
 
 
 def first_crossing(curve: Callable[[Array], Array], sign: Array) -> Array:
-    """Point in [0, 1] just beyond where curves that begin with a sign change it, by bisection; shape (m,)."""
-    low = np.zeros_like(sign)
-    high = np.ones_like(sign)
-    for _ in range(_BISECTIONS):
-        x = (low + high) / 2
-        beyond = curve(x) * sign < 0
-        low = np.where(beyond, low, x)
-        high = np.where(beyond, x, high)
-    return high
+    """Point in [0, 1] just beyond where curves that begin with a sign change it, shape (m,).
+
+    By division of the interval into sections, at whose ends all curves are evaluated at once.
+
+    Parameters
+    ----------
+    curve
+        Values of all m curves at points of shape (sections, m).
+    sign
+        Of each at 0, shape (m,); it has changed at 1.
+    """
+    low, width = np.zeros_like(sign), 1.0
+    ends = np.arange(1, _SECTIONS + 1)[:, None] / _SECTIONS
+    for _ in range(_DIVISIONS):
+        is_beyond = curve(low + width * ends) * sign < 0
+        is_beyond[-1] = True
+        width /= _SECTIONS
+        low = low + width * is_beyond.argmax(axis=0)
+    return low + width
 
 
 def multiply(M: Array, a: Array) -> Array:

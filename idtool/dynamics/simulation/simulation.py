@@ -30,7 +30,7 @@ _PIECE = 1.0  # s
 _ROUNDING = 1e-6  # of a sample
 _MAX_JUMP = 1e-7  # SI: between the end of a piece and the start of the next
 _MAX_PASSES = 5  # over all pieces together, before they are done one by one
-_MAX_SPEED = 1e4  # rad/s or m/s: a faster rollout has diverged
+_MAX_SPEED = 1e3  # rad/s or m/s: no robot's joint is as fast, so a faster rollout has diverged
 
 Report = Callable[[float], None]  # told the share that is done
 

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices
+from idtool.common.arrays import Array
 from idtool.common.threads import in_threads
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.reduction import Factor, Reduction, merge
@@ -70,9 +70,9 @@ def merge_reductions(reductions: Sequence[Reduction]) -> Reduction:
     return tuple(in_threads(Factor.merged, factors_of_joints, work))
 
 
-def most_blocks(active: Iterable[Indices]) -> int:
-    """Number of blocks that fit in memory, by the coefficients of each joint."""
-    size = 8 * sum((len(columns) + 1) ** 2 for columns in active)
+def most_blocks(columns: Iterable[int]) -> int:
+    """Number of blocks that fit in memory, by the number of columns of each joint beside its torque."""
+    size = 8 * sum((count + 1) ** 2 for count in columns)
     return int(np.clip(_MEMORY // size, _FEWEST_BLOCKS, _MOST_BLOCKS))
 
 

@@ -243,7 +243,13 @@ class Experiment:
         """The torque equation's rows along the training part of a log, batch after batch."""
         return self.batches(run, False).map(self.equation.counted_rows)
 
-    def blocks(self, rows: Callable[[Run], Rows], progress: Progress, stage: str = "reading") -> tuple[Blocks, ...]:
+    def blocks(
+        self,
+        rows: Callable[[Run], Rows],
+        progress: Progress,
+        stage: str = "reading",
+        columns: Sequence[int] | None = None,
+    ) -> tuple[Blocks, ...]:
         """The training data as R-factors of consecutive blocks, log by log.
 
         Parameters
@@ -254,13 +260,15 @@ class Experiment:
             Callback for the stage and its progress, from 0 to 1.
         stage
             What is done to the logs; their names follow.
+        columns
+            Number of columns of each joint, for the memory that they take; None: one for each of its coefficients.
 
         Raises
         ------
         LogError
             If a joint has no sample that counts.
         """
-        return self.checked_blocks(self._unchecked_blocks(rows, progress, stage))
+        return self.checked_blocks(self._unchecked_blocks(rows, progress, stage, columns))
 
     def checked_blocks(self, blocks: Sequence[Blocks]) -> tuple[Blocks, ...]:
         """The training data in blocks, checked to have samples for every joint; LogError as `blocks`."""
@@ -269,12 +277,17 @@ class Experiment:
         return tuple(blocks)
 
     def _unchecked_blocks(
-        self, rows: Callable[[Run], Rows], progress: Progress, stage: str = "reading"
+        self,
+        rows: Callable[[Run], Rows],
+        progress: Progress,
+        stage: str = "reading",
+        columns: Sequence[int] | None = None,
     ) -> tuple[Blocks, ...]:
         """`blocks`, whose joints may have no sample that counts; none if the logs are too short."""
         runs = [run for run in self.runs if run.train]
         of_logs = [rows(run) for run in runs]
-        lengths = self.block_rows(runs, [batches.rows for batches in of_logs], rounded_count(len(self.runs)))
+        row_counts = [batches.rows for batches in of_logs]
+        lengths = self.block_rows(runs, row_counts, rounded_count(len(self.runs)), columns)
 
         def cut(part: LogPart[tuple[list[Array], Shares]]) -> list[tuple[int, Reduction]]:
             redundancy = runs[part.log].signals.low_pass.redundancy
@@ -293,7 +306,13 @@ class Experiment:
                 blocks.append(Blocks(run.signals.log.path.name, tuple(of_log.values()), seconds))
         return tuple(blocks)
 
-    def block_rows(self, runs: Sequence[Run], rows: Sequence[int], logs: int | None = None) -> list[int]:
+    def block_rows(
+        self,
+        runs: Sequence[Run],
+        rows: Sequence[int],
+        logs: int | None = None,
+        columns: Sequence[int] | None = None,
+    ) -> list[int]:
         """Number of rows in a block of each of some logs; see `blocks.block_rows`.
 
         Parameters
@@ -304,11 +323,12 @@ class Experiment:
             Number of rows of each.
         logs
             Number of logs of which these are some; None: there are no others.
+        columns
+            Number of columns of each joint; None: one for each of its coefficients.
         """
         steps = [run.signals.row_step for run in runs]
-        return block_rows(
-            rows, steps, self.band_hz, most_blocks(self.equation.active()), logs or rounded_count(len(runs))
-        )
+        most = most_blocks(columns or map(len, self.equation.active()))
+        return block_rows(rows, steps, self.band_hz, most, logs or rounded_count(len(runs)))
 
     def reduce(self, progress: Progress) -> Reduction:
         """The training data as R-factors; see `checked`."""

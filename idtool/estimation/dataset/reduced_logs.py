@@ -212,7 +212,8 @@ def training_blocks(experiment: Experiment, logs: Sequence[ReducedLog]) -> tuple
     rows = [sum(part.rows for part in log.train) for log in used]
     steps = [log.row_step for log in used]
     count = rounded_count(len(logs))
-    lengths = block_rows(rows, steps, experiment.band_hz, most_blocks(experiment.equation.active()), count)
+    most = most_blocks(map(len, experiment.equation.active()))
+    lengths = block_rows(rows, steps, experiment.band_hz, most, count)
     blocks = []
     for log, length in zip(used, lengths, strict=True):
         factor = max(length // log.block_rows, 1)

@@ -9,15 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices
-from idtool.common.linear_algebra import add_to_triangle, least_squares
+from idtool.common.arrays import Array
+from idtool.common.linear_algebra import least_squares, stacked_rows
 from idtool.common.units import STANDARD_GRAVITY
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.robot.model import WRENCH_SIZE, RobotModel
 
-_MOST_ROWS = 4  # for each coefficient
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
 _WEIGHINGS = 2  # of the joints by their noise
 _GUESSED_SHARE = 0.02  # of a joint's torque, or of the weight: first guess of the noise
@@ -32,19 +31,10 @@ def weighted_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Arr
     """
     samples = max(sum(factor.rows for factor in reduction) / len(reduction), 1.0)
     p = len(model.coefficients)
-
-    def expanded(factor: Factor, columns: Indices, sigma: float) -> Array:
-        rows = np.zeros((len(factor.R), p + 1), order="F")
-        rows[:, [*columns, p]] = factor.R / (sigma * np.sqrt(samples))
-        return rows
-
-    joints = list(zip(reduction, model.active(), noise.tolist(), strict=True))
-    if sum(len(factor.R) for factor in reduction) <= _MOST_ROWS * (p + 1):
-        return np.concatenate([expanded(*joint) for joint in joints])
-    R = np.zeros((p + 1, p + 1), order="F")
-    for joint in reversed(joints):  # towards the tip of a chain there are fewer columns
-        add_to_triangle(R, expanded(*joint))
-    return np.ascontiguousarray(R)
+    parts = []
+    for factor, columns, sigma in zip(reduction, model.active(), noise.tolist(), strict=True):
+        parts.append((factor.R / (sigma * np.sqrt(samples)), np.append(columns, p)))
+    return stacked_rows(parts, p + 1)
 
 
 def _noise_floor(factor: Factor) -> float:

@@ -28,6 +28,7 @@ from idtool.estimation.dataset.experiment import Experiment, Progress
 
 HORIZONS = (0.01, 0.05, 0.1, 0.5)  # s
 _LONGEST = 60.0  # s of open-loop motion that are simulated; of a longer log, windows spread over it
+_MANY_JOINTS = 12  # from which on it is less, since a step takes about as long as the square of their number
 _DRAWN = 1000  # stretches of time in which the least and greatest position are drawn
 
 Kind = Literal["open_loop", "closed_loop"]
@@ -156,7 +157,7 @@ def evaluate_rollouts(
         parts.append((run.signals, own_parts))
     closed = any(signals.controller.joints.any() for signals, ranges in parts if ranges)
     window = None if closed else experiment.config.simulation.window
-    jobs, available = _windows(parts, window, closed)
+    jobs, available = _windows(parts, window, closed, experiment.model.joint_count)
     if contacts is not None and not jobs:
         return None
     baseline, envelopes = _evaluate_baseline(jobs, experiment.model.joint_count, closed)
@@ -276,7 +277,7 @@ class _MeasuredMotion:
 
 
 def _windows(
-    parts: Sequence[tuple[Signals, Sequence[slice]]], window: float | None, closed: bool
+    parts: Sequence[tuple[Signals, Sequence[slice]]], window: float | None, closed: bool, joints: int
 ) -> tuple[list[tuple[Signals, list[slice]]], int]:
     """Windows to simulate of every log that is driven in the same way, and the number of windows that there are."""
     jobs = [
@@ -285,7 +286,7 @@ def _windows(
         if ranges and signals.controller.joints.any() == closed
     ]
     available = sum(len(windows) for _, windows in jobs)
-    most = available if window is None else max(int(_LONGEST / window), 1)
+    most = available if window is None else max(int(_longest(joints) / window), 1)
     if available > most:
         kept = np.linspace(0, available, most, endpoint=False).astype(int)
         first = 0
@@ -294,6 +295,11 @@ def _windows(
             first += len(windows)
             jobs[i] = (signals, [windows[k] for k in in_log])
     return [(signals, windows) for signals, windows in jobs if windows], available
+
+
+def _longest(joints: int) -> float:
+    """Longest open-loop motion that is simulated of a robot with so many joints, all windows together [s]."""
+    return _LONGEST * min(_MANY_JOINTS / joints, 1.0) ** 2
 
 
 def simulation_notices(rollouts: RolloutEvaluation | None, model: str) -> list[Notice]:

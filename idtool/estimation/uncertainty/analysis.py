@@ -306,7 +306,7 @@ def _bias_unchecked(experiment: Experiment) -> Notice:
     if not experiment.runs:
         what = "least squares was not checked for bias: this needs the logs, of which a reduction has no samples"
         return Notice("bias_unchecked", "note", None, what)
-    what = "least squares was not checked for bias: the logs are too long, or no instruments are available"
+    what = "least squares was not checked for bias: it would take too long, or no instruments are available"
     return Notice("bias_unchecked", "note", None, what, "see --method iv")
 
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.linear_algebra import stacked_rows
 from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
@@ -26,7 +27,9 @@ from idtool.robot.model import RobotModel
 
 _RANK = 1e-5  # of a column: what the others leave of it by less is rounding, such as that of 1.5708 in a URDF
 _ZERO = 1e-5  # of a column, as a share of a combination: the same
-_SAMPLES, _DT = 1500, 0.02  # of a random motion [s]
+_SECONDS = 30.0  # of a random motion
+_SAMPLES = (300, 1500)  # fewest, however much memory their columns take, and most of it
+_NUMBERS = 1 << 23  # in these columns
 _TONES = 7  # per joint
 _HIGHEST_FREQUENCY = 1.5  # Hz
 _RANGE = {"revolute": 1.5, "prismatic": 0.5}  # rad or m, rms
@@ -102,14 +105,13 @@ def structural_base_parameters(
     """
     p = len(equation.coefficients)
     equalities = equalities or EqualityConstraints.none(p)
-    motion = random_motion(model)
+    active = equation.active_in_columns()
+    numbers_per_sample = sum(len(columns) + 1 for columns in active)
+    motion = random_motion(model, samples=int(np.clip(_NUMBERS // numbers_per_sample, *_SAMPLES)))
     factors = []
-    for columns, block in zip(equation.active_in_columns(), equation.columns(motion), strict=True):
-        R = np.linalg.qr(block[:-1].T, mode="r")
-        factor = np.zeros((len(R), p))
-        factor[:, columns] = R
-        factors.append(factor)
-    Y = np.concatenate(factors)
+    for columns, block in zip(active, equation.columns(motion), strict=True):
+        factors.append((np.asarray(np.linalg.qr(block[:-1].T, mode="r")), columns))
+    Y = stacked_rows(factors, p)
     order = np.argsort(equalities.free < PI_SIZE * len(model.bodies), kind="stable")  # friction bears its own name
     base = base_parameters(without_rounding(Y, equation, _RANK) @ equalities.K, order)
     B = np.zeros((len(base), p))
@@ -137,10 +139,11 @@ def without_rounding(Y: Array, equation: LinearModel, rounding: float) -> Array:
     return np.where(zeroed, 0.0, Y)
 
 
-def random_motion(model: RobotModel, seed: int = 0) -> Motion:
+def random_motion(model: RobotModel, seed: int = 0, samples: int = _SAMPLES[1]) -> Motion:
     """A smooth motion without any regularity, limits not regarded; what depends on time or history can be told too."""
     rng = np.random.default_rng(seed)
-    t: Array = _DT * np.arange(_SAMPLES, dtype=np.float64)
+    dt = _SECONDS / samples
+    t: Array = dt * np.arange(samples, dtype=np.float64)
     nv = len(model.joints)
     size = np.array([_RANGE["prismatic" if joint.kind == "prismatic" else "revolute"] for joint in model.joints])
     w = 2 * np.pi * rng.uniform(0.05, _HIGHEST_FREQUENCY, (nv, _TONES, 1))
@@ -150,4 +153,4 @@ def random_motion(model: RobotModel, seed: int = 0) -> Motion:
     v = (amplitude * w * np.cos(phase)).sum(axis=1)
     a: Array = -(amplitude * np.square(w) * np.sin(phase)).sum(axis=1)
     tau = rng.normal(size=q.shape)
-    return Motion(t, q, v, a, tau, tau, np.full(nv, 1e-3), _DT)
+    return Motion(t, q, v, a, tau, tau, np.full(nv, 1e-3), dt)

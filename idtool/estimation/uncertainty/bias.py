@@ -17,7 +17,7 @@ from scipy.special import stdtr
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ModelError
 from idtool.common.linear_algebra import least_squares
-from idtool.estimation.dataset.blocks import Blocks, merge_reductions
+from idtool.estimation.dataset.blocks import Blocks, merge_reductions, most_blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.identification import Identification
@@ -30,6 +30,7 @@ from idtool.estimation.uncertainty.false_discovery import discoveries
 _RANK = 1e-8  # of the largest singular value of scaled columns: less is rounding
 _LONGEST = 60.0  # s of closed loop that are simulated only to see whether least squares is biased
 _LONGEST_SMOOTHED = 600.0  # s that are smoothed for it: they are held in memory
+_MOST_BYTES = 512 << 20  # that the rows of both estimates may take for it
 _FALSE_DISCOVERIES = 0.05  # of the parameters that are said to differ
 
 
@@ -89,7 +90,7 @@ def paired_estimates(experiment: Experiment, identification: Identification, pro
         return None
     if two_stage is not None:
         made = two_stage.instruments
-    elif _seconds(experiment) > (_LONGEST if experiment.config.controller else _LONGEST_SMOOTHED):
+    elif _takes_long(experiment, identification.data):
         return None
     else:
         try:
@@ -107,6 +108,24 @@ def paired_estimates(experiment: Experiment, identification: Identification, pro
 def _seconds(experiment: Experiment) -> float:
     """Length of the training data [s]."""
     return float(sum((part.stop - part.start) * run.signals.log.dt for run in experiment.runs for part in run.train))
+
+
+def _takes_long(experiment: Experiment, data: Sequence[Blocks]) -> bool:
+    """True if instruments would take long to make, or the rows of both estimates much memory."""
+    longest = _LONGEST if experiment.config.controller else _LONGEST_SMOOTHED
+    return _seconds(experiment) > longest or _expected_bytes(experiment, data) > _MOST_BYTES
+
+
+def _expected_bytes(experiment: Experiment, data: Sequence[Blocks]) -> float:
+    """Bytes that the R-factors of [Z_j, Y_j, tau_j] take, if there are no more blocks than of [Y_j, tau_j]."""
+    widths = [2 * len(active) + 1 for active in experiment.equation.active()]
+    most = most_blocks(width - 1 for width in widths)
+    numbers = 0.0
+    for log in data:
+        blocks = min(len(log), most)
+        for width, factor in zip(widths, log.total, strict=True):
+            numbers += width * min(factor.rows, blocks * width)
+    return 8 * numbers
 
 
 def instrumented_estimate(
