@@ -50,9 +50,9 @@ relative to the largest entry.
 GROWTH = """\
 ## Growth of time and memory
 
-Each size is fitted by `{command}` in a new process. `benchmarks/long_logs.py` makes
+Each size is fitted by `{command}` in a new process, `thorough` without `--quick`. `benchmarks/long_logs.py` makes
 the robots and the logs. Times are those of the whole command: start, reading, fit and report, the least of at least two
-runs. Memory is the peak of the largest process.
+runs (`thorough`: of one). Memory is the peak of the largest process.
 
 The exponent is the slope in the double logarithmic plot. With an exponent of 1, twice the size takes twice the time.
 The constant time of the start and the constant memory of the libraries decrease it. Therefore the slope between the

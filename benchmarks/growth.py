@@ -1,10 +1,10 @@
 """Growth of the time and memory of `idtool fit` with samples, bodies, joints, logs and worker processes.
 
-Run ``python benchmarks/growth.py [samples] [bodies] [joints] [logs] [workers] [--full]``; default: all. Robots and logs
-are those of `long_logs`. Every size is fitted in a fresh process, and the figures are of the whole command: start-up,
-reading, fit and page. Their exponents are slopes in a double logarithmic plot: a fixed part, such as the start of 1 s
-or the memory of the libraries, makes them smaller, so that of the two largest sizes is given, too. The command is that
-of `COMMAND`; each series starts with a run that does not count.
+Run ``python benchmarks/growth.py [samples] [bodies] [joints] [thorough] [logs] [workers] [--full]``; default: all.
+Robots and logs are those of `long_logs`. Every size is fitted in a fresh process, and the figures are of the whole
+command: start-up, reading, fit and page. Their exponents are slopes in a double logarithmic plot: a fixed part, such as
+the start of 1 s or the memory of the libraries, makes them smaller, so that of the two largest sizes is given, too. The
+command is that of `COMMAND`, ``thorough`` without ``--quick``; each series starts with a run that does not count.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ class Task:
         Length of each log [min], and number of logs.
     jobs
         Number of processes; None: idtool's own choice.
+    quick
+        False for a fit with ranges, simulation and the search for faults.
     """
 
     size: float
@@ -47,6 +49,7 @@ class Task:
     minutes: float = 1.0
     logs: int = 1
     jobs: int | None = None
+    quick: bool = True
 
     @property
     def files(self) -> tuple[object, ...]:
@@ -103,6 +106,14 @@ SERIES = (
         "chain of joints without rotors, 20 s",
         tuple(Task(n, branches=1, length=n, minutes=SHORT) for n in (3, 6, 12, 24)),
         (Task(60, branches=1, length=60, minutes=SHORT),),
+    ),
+    Series(
+        "thorough",
+        "joints",
+        "the same chains, fitted without --quick",
+        tuple(Task(n, branches=1, length=n, minutes=SHORT, quick=False) for n in (3, 6, 12, 24)),
+        (Task(60, branches=1, length=60, minutes=SHORT, quick=False),),
+        repetitions=1,
     ),
     Series(
         "logs",
@@ -189,7 +200,9 @@ def write_files(task: Task, folder: Path) -> None:
 def measure(task: Task, folder: Path) -> Cost:
     """Cost of the fit of a task whose files are in a folder."""
     logs = [folder / f"log_{i}.mcap" for i in range(task.logs)]
-    options: list[object] = ["--out", folder / "out", "--quick", "--quiet"]
+    options: list[object] = ["--out", folder / "out", "--quiet"]
+    if task.quick:
+        options.append("--quick")
     if task.jobs is not None:
         options += ["--jobs", task.jobs]
     command = [sys.executable, "-m", "idtool", "fit", folder / "robot.urdf", *logs, *options]

@@ -233,7 +233,7 @@ def test_rollouts_that_run_away_end_where_they_did(short: Path, tmp_path: Path) 
     """Links far too light for the torque, without rotors and friction."""
 
     def lighter(entry: re.Match[str]) -> str:
-        return f'{entry[1]}="{1e-4 * float(entry[2])!r}"'
+        return f'{entry[1]}="{1e-3 * float(entry[2])!r}"'
 
     (tmp_path / "leg.urdf").write_text(re.sub(r'(mass value|i[xyz]{2})="([^"]+)"', lighter, LEG.read_text()))
     (tmp_path / "leg.yaml").write_text("friction: {viscous: false, coulomb: false}\n")

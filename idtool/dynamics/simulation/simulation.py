@@ -30,7 +30,9 @@ _PIECE = 1.0  # s
 _ROUNDING = 1e-6  # of a sample
 _MAX_JUMP = 1e-7  # SI: between the end of a piece and the start of the next
 _MAX_PASSES = 5  # over all pieces together, before they are done one by one
-_MAX_SPEED = 1e3  # rad/s or m/s: no robot's joint is as fast, so a faster rollout has diverged
+# A rollout has diverged if it is faster than both:
+_MAX_SPEED = 1e3  # rad/s or m/s, which hardly any robot's joint reaches
+_MAX_SPEEDUP = 100.0  # times the fastest joint at the start of any rollout
 
 Report = Callable[[float], None]  # told the share that is done
 
@@ -191,6 +193,7 @@ class _Run:
         self._input_torque = InputTorque(signals, windows, mechanism)
         self._offset = mechanism.position_offset[:, None]
         q, v = measured_states(signals, [window.start for window in windows])
+        self._max_speed = max(_MAX_SPEED, _MAX_SPEEDUP * float(np.abs(v).max()))
         step = min(samples_per_step(signals) * signals.log.dt, LONGEST_STEP)
         base = _base_motion(signals, windows, mechanism) if mechanism.model.has_floating_base else None
         with _immovable_as_error(mechanism):
@@ -222,7 +225,7 @@ class _Run:
         def on_step(stepped_ids: Indices, start: RolloutState, end: RolloutState) -> None:
             self._record_samples(stepped_ids, start, end)
             fastest = np.abs(end.v).max(axis=0)
-            diverged_ids = stepped_ids[~(fastest < _MAX_SPEED)]  # NaN has diverged, too
+            diverged_ids = stepped_ids[~(fastest < self._max_speed)]  # NaN has diverged, too
             if diverged_ids.size:
                 self._stop(diverged_ids, until)
             elapsed = (rollouts.t - self._t0)[stepped_ids]
