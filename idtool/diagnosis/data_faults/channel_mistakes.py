@@ -106,7 +106,8 @@ def possible_mistakes(
     names = [joint.name for joint in joints]
     nv = len(joints)
     pairs = list(itertools.combinations(exchanged, 2))
-    mistakes = [_position_unit(subset, joints) for subset in _subsets_of_wrong_unit(group, out_of_range, pairs)]
+    with_wrong_unit = _subsets_of_wrong_unit(group, suspects, pairs, out_of_range)
+    mistakes = [_position_unit(subset, joints) for subset in with_wrong_unit]
     mistakes += [_inverted_position(j, nv) for j in suspects if j in inverted]
     mistakes += [_inverted_torque(subset, nv) for subset in _subsets(group, suspects, pairs)]
     mistakes += [torque_order(_swap(nv, i, k), names) for i, k in pairs]
@@ -121,11 +122,13 @@ def possible_mistakes(
 
 
 def _subsets_of_wrong_unit(
-    group: Sequence[int], out_of_range: set[int], pairs: Sequence[tuple[int, int]]
+    group: Sequence[int], suspects: Sequence[int], pairs: Sequence[tuple[int, int]], out_of_range: set[int]
 ) -> list[tuple[int, ...]]:
     """Joints whose positions may be in a wrong unit, larger subsets first: joints mostly have one unit."""
     possible = [j for j in group if j in out_of_range]
-    subsets = list(reversed(_subsets(possible, possible, [pair for pair in pairs if out_of_range.issuperset(pair)])))
+    possible_suspects = [j for j in suspects if j in out_of_range]
+    possible_pairs = [pair for pair in pairs if out_of_range.issuperset(pair)]
+    subsets = list(reversed(_subsets(possible, possible_suspects, possible_pairs)))
     if subsets and len(possible) < len(group):
         subsets.insert(1, tuple(group))
     return subsets
