@@ -109,14 +109,16 @@ def add_to_triangle(R: Array, rows: Array) -> None:
     R[first:, first:] = lapack.dtpqrt(count if is_triangle else 0, block, R[first:, first:], further)[0]
 
 
-def stacked_rows(parts: Sequence[tuple[Array, Indices]], width: int) -> Array:
-    """Rows over all columns or, if these are far fewer, the triangular factor of the rows.
+def rows_or_triangle(parts: Sequence[tuple[Array, Indices]], width: int) -> Array:
+    """Rows of several matrices under each other, or the triangular factor of all rows if these are many.
+
+    Many: more than four times as many as columns.
 
     Parameters
     ----------
     parts
-        Rows over some of the columns, shape (k, m), or their triangular factor; and which these are, shape (m,). Those
-        with most columns come first.
+        Matrices, shape (k, m), and the column of the result that each of their columns belongs to, shape (m,). It is
+        fastest if those with most columns come first.
     width
         Number of columns.
 

@@ -96,7 +96,7 @@ def _weighted_least_squares(sums: list[_JointSums], weight: Array, scale: Array,
 def _accumulate(experiment: Experiment, theta: Array, progress: Progress) -> list[_JointSums]:
     active = experiment.equation.active()
     rows = [run.signals.batches().rows for run in experiment.runs]
-    lengths = experiment.block_rows(experiment.runs, rows)
+    lengths = experiment.block_rows(experiment.runs, rows, experiment.columns_of_coefficients)
 
     by_joint: list[list[tuple[Array, Array, float, float]]] = [[] for _ in active]
     for run, length in zip(experiment.runs, lengths, strict=True):

@@ -164,8 +164,13 @@ def instrumented_blocks(experiment: Experiment, made: Sequence[Instruments], pro
         If a joint has no sample that counts.
     """
     of_run = {id(each.run): each for each in made}
-    columns = [2 * len(active) for active in experiment.equation.active()]
+    columns = instrumented_columns(experiment)
     return experiment.blocks(lambda run: instrumented_rows(experiment, of_run[id(run)]), progress, columns=columns)
+
+
+def instrumented_columns(experiment: Experiment) -> list[int]:
+    """Number of columns of each joint's [Z_j, Y_j]."""
+    return [2 * count for count in experiment.columns_of_coefficients]
 
 
 def smoothing(q: Array, dt: float, band_hz: float) -> float:

@@ -98,9 +98,11 @@ def body_motions(model: RobotModel, q: Array, v: Array, a: Array) -> list[BodyMo
             motions.append(_base_motion(model, base, v, a))
             continue
         parent = base if body.mount.body < 0 else motions[body.mount.body]
-        phi = body.ratios @ q + body.offset
-        dphi = body.ratios @ v
-        ddphi = body.ratios @ a
+        coordinates = np.flatnonzero(body.ratios)
+        ratios = body.ratios[coordinates]
+        phi = ratios @ q[coordinates] + body.offset
+        dphi = ratios @ v[coordinates]
+        ddphi = ratios @ a[coordinates]
         motions.append(_propagate(body, parent, phi, dphi, ddphi))
     return motions
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -229,14 +230,24 @@ def test_jumps_and_a_motion_that_runs_away_are_named(short: Path, config: Path, 
     assert "use --closed-loop, --track or a short --window" in notice["advice"]
 
 
-def test_rollouts_that_run_away_end_where_they_did(short: Path, tmp_path: Path) -> None:
-    """Links far too light for the torque, without rotors and friction."""
+@pytest.fixture
+def lighter_leg(tmp_path: Path) -> Callable[[float], None]:
+    """A leg with links that are lighter by a factor, without rotors and friction."""
 
-    def lighter(entry: re.Match[str]) -> str:
-        return f'{entry[1]}="{1e-3 * float(entry[2])!r}"'
+    def write(factor: float) -> None:
+        def lighter(entry: re.Match[str]) -> str:
+            return f'{entry[1]}="{factor * float(entry[2])!r}"'
 
-    (tmp_path / "leg.urdf").write_text(re.sub(r'(mass value|i[xyz]{2})="([^"]+)"', lighter, LEG.read_text()))
-    (tmp_path / "leg.yaml").write_text("friction: {viscous: false, coulomb: false}\n")
+        (tmp_path / "leg.urdf").write_text(re.sub(r'(mass value|i[xyz]{2})="([^"]+)"', lighter, LEG.read_text()))
+        (tmp_path / "leg.yaml").write_text("friction: {viscous: false, coulomb: false}\n")
+
+    return write
+
+
+def test_rollouts_that_run_away_end_where_they_did(
+    short: Path, tmp_path: Path, lighter_leg: Callable[[float], None]
+) -> None:
+    lighter_leg(1e-3)
     done = idtool("simulate", "leg.urdf", short, "--out", "out.csv", "--json", folder=tmp_path)
     assert done.code == 0
     assert done.json["lost"] > 0
@@ -244,6 +255,16 @@ def test_rollouts_that_run_away_end_where_they_did(short: Path, tmp_path: Path) 
     log = read_log(tmp_path / "out.csv")
     assert len(log) == done.json["samples"] < ROWS
     assert all(np.isfinite(x).all() for x in log.signals.values())
+
+
+def test_rollouts_that_run_away_at_once_are_no_log(
+    short: Path, tmp_path: Path, lighter_leg: Callable[[float], None]
+) -> None:
+    lighter_leg(1e-5)
+    done = idtool("simulate", "leg.urdf", short, "--out", "out.csv", folder=tmp_path)
+    assert done.code == 2
+    assert done.err == "error: leg.urdf: diverges as soon as it is simulated; its inertias are too small\n"
+    assert not (tmp_path / "out.csv").exists()
 
 
 REFUSED = {

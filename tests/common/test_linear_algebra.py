@@ -7,7 +7,14 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from idtool.common.linear_algebra import add_to_triangle, least_squares, null_space, right_singular_vectors, svd
+from idtool.common.linear_algebra import (
+    add_to_triangle,
+    least_squares,
+    null_space,
+    right_singular_vectors,
+    rows_or_triangle,
+    svd,
+)
 
 
 @pytest.mark.parametrize("shape", [(7, 4), (4, 7), (5, 5)])
@@ -100,3 +107,17 @@ def test_rows_of_zeros_leave_a_triangle_as_it_is(rng: np.random.Generator) -> No
     add_to_triangle(R, np.zeros((3, 5)))
     add_to_triangle(R, np.zeros((0, 5)))
     np.testing.assert_array_equal(R, before)
+
+
+@pytest.mark.parametrize(("counts", "rows"), [((3, 2, 4), 9), ((3, 30, 14), 9), ((), 0)])
+def test_many_rows_give_a_triangle(rng: np.random.Generator, counts: tuple[int, ...], rows: int) -> None:
+    """Its Gram matrix is the sum of theirs; few rows stay as they are. Columns may be shared, and in any order."""
+    columns = [np.array([8, 0, 3]), np.array([3, 4, 5, 8]), np.array([1, 8])]
+    parts = [(rng.normal(size=(count, len(own))), own) for count, own in zip(counts, columns, strict=False)]
+    found = rows_or_triangle(parts, 9)
+    assert found.shape == (rows, 9)
+    gram = np.zeros((9, 9))
+    for part, own in parts:
+        gram[np.ix_(own, own)] += part.T @ part
+    np.testing.assert_allclose(found.T @ found, gram, atol=1e-12)
+    assert (sum(counts) > 4 * 9) == (rows == 9 and np.array_equal(found, np.triu(found)))

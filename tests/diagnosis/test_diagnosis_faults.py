@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import mujoco  # type: ignore[import-untyped]
 import numpy as np
@@ -21,14 +21,15 @@ from spatial_arm import ARM, JOINTS, recorded, reference, spec_of
 
 from idtool.common.exceptions import LogError
 from idtool.data.logs.log import JointLog, make_log
-from idtool.diagnosis.data_faults import find_data_faults
+from idtool.diagnosis.data_faults import channel_search, find_data_faults
 from idtool.diagnosis.data_faults.channel_fit import ChannelFit
-from idtool.diagnosis.data_faults.channel_mistakes import possible_mistakes
+from idtool.diagnosis.data_faults.channel_mistakes import Evidence, possible_mistakes
+from idtool.diagnosis.data_faults.channel_search import ChannelSearch
 from idtool.diagnosis.data_faults.torque_scale import check_torques
 from idtool.diagnosis.diagnose import Options, diagnose
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import parse_config, read_config
-from idtool.robot.urdf.reading import UrdfJoint, parse_robot, read_robot
+from idtool.robot.urdf.reading import parse_robot, read_robot
 
 Array = NDArray[np.float64]
 Signals = dict[str, Array]
@@ -417,21 +418,67 @@ def test_the_fit_is_made_from_a_sample_of_bounded_size(of_arm: Callable[..., Exp
     assert rows[0] > 800
 
 
-def joints_in_a_row(count: int) -> list[UrdfJoint]:
-    urdf = chain(*(link(i) for i in range(1, count + 1)))
-    return list(parse_robot(Path("chain.urdf"), urdf.encode()).joints.values())
+def searched(joints: int, coefficients: int) -> ChannelSearch:
+    """A search in a chain of joints, for which all is known that suspicion needs."""
+    urdf = chain(*(link(i) for i in range(1, joints + 1)))
+    robot = parse_robot(Path("chain.urdf"), urdf.encode())
+    fit = SimpleNamespace(equation=SimpleNamespace(coefficients=range(coefficients)), reduced=lambda change: None)
+    return ChannelSearch(
+        cast("ChannelFit", fit), tuple(robot.joints.values()), np.zeros((joints, 2)), {}, set(), silent
+    )
+
+
+NO_EVIDENCE = Evidence(set(), set(), {})
 
 
 @pytest.mark.parametrize(
-    ("joints", "suspects", "exchanged", "count"), [(6, 6, 6, 64), (20, 20, 9, 169), (60, 2, 2, 10)]
+    ("joints", "coefficients", "single", "pairs", "mistakes"),
+    [
+        (6, 10_000, 6, 15, 64),
+        (7, 10_000, 7, 21, 85),
+        (8, 10_000, 2, 1, 10),
+        (12, 192, 12, 66, 235),
+        (20, 300, 20, 21, 124),
+        (60, 900, 2, 1, 10),
+    ],
 )
-def test_mistakes_of_many_joints_are_looked_for_in_few(joints: int, suspects: int, exchanged: int, count: int) -> None:
-    """Three of each suspect and of each pair that may be exchanged, and all torques turned round."""
-    group = list(range(joints))
-    found = possible_mistakes(
-        group, group[:suspects], group[:exchanged], joints_in_a_row(joints), set(), set(), np.zeros(joints)
-    )
-    assert len(found) == count == 3 * suspects + 3 * math.comb(exchanged, 2) + 1
+def test_mistakes_of_many_joints_are_looked_for_in_few(
+    joints: int, coefficients: int, single: int, pairs: int, mistakes: int
+) -> None:
+    """Of up to seven in all; of more in as many as the coefficients leave time for: those that are explained worst."""
+    search = searched(joints, coefficients)
+    u = np.random.default_rng(0).permutation(joints) / joints
+    suspects = search._suspects(u, np.arange(joints), NO_EVIDENCE)
+    assert (len(suspects.single), len(suspects.pairs)) == (single, pairs)
+    assert set(suspects.single) == set(np.argsort(-u)[:single].tolist())
+    paired = {j for pair in suspects.pairs for j in pair}
+    assert paired == set(np.argsort(-u)[: len(paired)].tolist())
+    assert len(possible_mistakes(suspects, search.joints, NO_EVIDENCE)) == mistakes
+
+
+def test_joints_whose_channels_look_wrong_are_suspected_first() -> None:
+    """However well they are explained, and where nothing is."""
+    search = searched(60, 900)
+    for u in (np.linspace(0, 1, 60), np.full(60, 1e9)):
+        evidence = Evidence({3}, {5}, {})
+        suspects = search._suspects(u, np.arange(60), evidence)
+        assert suspects.single == (3, 5)
+        mistakes = possible_mistakes(suspects, search.joints, evidence)
+        of_position = [mistake.joints for mistake in mistakes if mistake.position is not None]
+        assert of_position[:3] == [(5,), tuple(range(60)), (3,)]
+    suspects = search._suspects(np.linspace(0, 1, 60), np.arange(60), Evidence(set(), set(), {7: 1e-3}))
+    assert suspects.single == (7, 59)
+
+
+def test_a_search_in_few_of_many_joints_finds_the_mistake(
+    of_arm: Callable[..., Experiment], arm: Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If three joints were many, with time for two."""
+    monkeypatch.setattr(channel_search, "_FEW_JOINTS", 2)
+    monkeypatch.setattr(channel_search, "_MOST_WORK", 0.0)
+    for name in ("tau turned, middle", "joint turned", "tau exchanged"):
+        change, expected = EVERY[name]
+        assert named(of_arm(changed(arm, change))) == expected
 
 
 @pytest.mark.slow

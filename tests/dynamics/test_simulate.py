@@ -223,6 +223,18 @@ def test_a_rollout_that_runs_away_is_stopped_and_told(robot_of: ReadRobot, speed
         np.testing.assert_allclose(found.q[0, w], exact(t[part], tau[part], 0.0, 0.0)[0], rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize(("measured", "diverges"), [(30.0, False), (10.0, True)])  # m/s
+def test_what_moves_fast_in_the_log_may_be_faster(robot_of: ReadRobot, measured: float, diverges: bool) -> None:
+    """Than 1,000 m/s: up to 100 times as fast as it was measured, in its own window."""
+    t = clock(600, 250)
+    tau = force(t)
+    tau[400:420] = 2e3 * M / (t[420] - t[400])
+    q = np.where(t < t[300], 0.0, measured * (t - t[300]))
+    signals = signals_of(log_of(t, q=q, tau=tau))
+    (found,) = run(mechanism(robot_of(sliders(M)), CONFIG), signals, [slice(0, 300), slice(301, 600)])
+    assert found.diverged.tolist() == [False, diverges]
+
+
 def test_a_joint_that_has_no_inertia_cannot_be_simulated(robot_of: ReadRobot) -> None:
     t = clock(500, 250)
     signals = signals_of(log_of(t, ("j1",), q=0 * t, tau=0 * t))

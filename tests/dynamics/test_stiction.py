@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.simulation.stiction import first_crossing
 from idtool.robot.urdf.reading import Robot
 
 Array = NDArray[np.float64]
@@ -183,3 +184,16 @@ def test_a_mass_swung_to_and_fro(robot_of: ReadRobot, every: float) -> None:
     expected = [sum((-1) ** k * swung(t - k * HALF) for k in range(6)) for t in samples]
     np.testing.assert_allclose(q[0, 0], expected, rtol=0, atol=1e-8)
     assert turns(v[0, 0]) == [0, 1, 0, -1] * 3 + [0]
+
+
+def test_the_first_of_several_crossings_is_found_just_beyond() -> None:
+    """Of lines, at the ends of the interval and of its sections too, and of cubics with three roots that are a section apart."""
+    roots = np.array([[1e-9, 2, 3], [0.25, 2, 3], [0.3, 2, 3], [1.0, 2, 3], [0.2, 0.5, 0.9], [0.2, 0.24, 0.9]])
+    sign = np.array([1.0, -1.0, 1.0, 1.0, 1.0, -1.0])
+
+    def curves(x: Array) -> Array:
+        return -sign * np.prod(x[..., None] - roots, axis=-1)
+
+    found = first_crossing(curves, sign)
+    assert (found >= roots[:, 0]).all()
+    np.testing.assert_allclose(found, roots[:, 0], rtol=0, atol=2e-12)

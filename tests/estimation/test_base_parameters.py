@@ -13,9 +13,11 @@ from reference import Reference
 from robots import actuated, random_rotors, random_urdf
 from tables import GANTRY, PANDA, PUMA, RX90, SCARA, STANFORD, UR5, Row, rooted, table_urdf
 
+from idtool.common import linear_algebra
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import equality_constraints
+from idtool.estimation.uncertainty import base_parameters as module
 from idtool.estimation.uncertainty.base_parameters import BaseParameters, base_parameters, structural_base_parameters
 from idtool.robot.config import parse_config
 from idtool.robot.inertia import PARAMETER_NAMES, PI_SIZE
@@ -208,6 +210,17 @@ def test_copies_are_told_once(robot_of: ReadRobot, rng: np.random.Generator) -> 
     base = structural_base_parameters(model, equation, equality_constraints(read, model, equation))
     assert not base.B[:, 3 * PI_SIZE :].any()
     assert len(base) < len(structural_base_parameters(model, equation)) == 2 * 17
+
+
+def test_little_memory_gives_the_same(
+    robot_of: ReadRobot, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From fewer samples, fewer than a joint has columns, and from the triangular factor of all rows."""
+    robot = robot_of(rooted(table_urdf(PANDA, rng)))
+    monkeypatch.setattr(module, "_SAMPLES", (40, 1500))
+    monkeypatch.setattr(module, "_BYTES", 0)
+    monkeypatch.setattr(linear_algebra, "_MOST_ROWS", 1)
+    assert len(check(robot, rng)) == 43
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -152,6 +152,17 @@ def test_of_logs_of_both_kinds_those_with_a_command_are_simulated(discs: Build) 
         assert (found.kind, found.windows, found.available, len(found.traces)) == ("closed_loop", 1, 1, 1)
 
 
+@pytest.mark.parametrize(("many_joints", "windows"), [(2, 60), (1, 15), (0.1, 1)])
+def test_of_many_joints_fewer_windows_are_simulated(
+    discs: Build, monkeypatch: pytest.MonkeyPatch, many_joints: float, windows: int
+) -> None:
+    """60 s, less by the square of how many times as many joints there are, and one window at least."""
+    monkeypatch.setattr(module, "_MANY_JOINTS", many_joints)
+    experiment = discs(swinging(80))
+    found = evaluate_rollouts(experiment, {"model": experiment.equation.prior}, True, quietly)
+    assert (found.windows, found.available) == (windows, 80)
+
+
 def test_of_a_long_log_windows_are_simulated_that_spread_over_it(discs: Build, monkeypatch: pytest.MonkeyPatch) -> None:
     """A minute of two logs, 150 and 50 s long; what the simulation gave is what is compared."""
     seen: dict[str, list[slice]] = {}
@@ -166,10 +177,6 @@ def test_of_a_long_log_windows_are_simulated_that_spread_over_it(discs: Build, m
 
     monkeypatch.setattr(module, "simulate", nearly)
     experiment = discs(swinging(150), swinging(50))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_MANY_JOINTS", 1)  # of which a quarter is simulated, since there are twice as many
-        found = evaluate_rollouts(experiment, {"model": experiment.equation.prior}, True, quietly)
-    assert (found.windows, found.available) == (15, 200)
     found = evaluate_rollouts(experiment, {"model": experiment.equation.prior}, True, quietly)
     assert (found.windows, found.available) == (60, 200)
     starts = {name: np.array([part.start for part in windows]) / RATE for name, windows in seen.items()}

@@ -18,6 +18,7 @@ from scipy import stats
 from sentences import texts
 
 from idtool.data.logs import JointLog, make_log, read_log, write_log
+from idtool.estimation.dataset import blocks
 from idtool.estimation.dataset.blocks import merge_reductions
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.dataset.reduction import Factor
@@ -212,16 +213,32 @@ def test_where_blocks_are_too_short_the_spectrum_has_a_say(monkeypatch: pytest.M
         assert any("correlated over more than" in said for said in texts(analysis.notices))
 
 
-def test_bias_is_not_looked_for_where_it_would_take_much_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The memory that is expected is that of the factors."""
-    leg = fitted()
-    used, theta = leg.experiment, leg.estimate.theta
-    made = instruments(used, theta, silent)
-    taken = sum(own.R.nbytes for log in instrumented_blocks(used, made, silent) for part in log.parts for own in part)
-    identification = estimate_from_logs(used, "ls", silent)
-    expected = bias._expected_bytes(used, identification.data)
-    assert expected == pytest.approx(taken, rel=0.05)
+@pytest.mark.parametrize("memory", [256 << 20, 1 << 20])
+@pytest.mark.parametrize("logs", [1, 2])
+def test_factors_with_instruments_take_the_memory_that_is_expected(
+    monkeypatch: pytest.MonkeyPatch, memory: int, logs: int
+) -> None:
+    """Where their number is bounded by the memory, they are fewer than those of the least squares."""
+    monkeypatch.setattr(blocks, "_MEMORY", memory)
+    monkeypatch.setattr(blocks, "_FEWEST_BLOCKS", 4)
+    used = experiment(*(TRAIN, OTHER)[:logs])
+    made = instruments(used, used.equation.prior, silent)
+    data = instrumented_blocks(used, made, silent)
+    taken = 0
+    for log in data:
+        for part in log.parts:
+            taken += sum(factor.R.nbytes for factor in part)
+    assert bias.factor_bytes(used) == pytest.approx(taken, rel=0.05)
+    assert taken < 1.2 * memory
+    plain = used.blocks(used.rows, silent)
+    is_bounded = memory == 1 << 20
+    assert (sum(map(len, data)) < sum(map(len, plain))) == is_bounded
 
+
+def test_bias_is_not_looked_for_where_it_would_take_much_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    used = fitted().experiment
+    identification = estimate_from_logs(used, "ls", silent)
+    expected = bias.factor_bytes(used)
     monkeypatch.setattr(bias, "_MOST_BYTES", expected - 1)
     assert bias.paired_estimates(used, identification, silent) is None
     monkeypatch.setattr(bias, "_MOST_BYTES", expected)

@@ -6,7 +6,7 @@ Each comes with the change of the channels that undoes it. Letters as in `channe
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,6 @@ from idtool.diagnosis.data_faults.channel_fit import Change
 from idtool.robot.urdf.reading import UrdfJoint
 
 _MAX_JOINTS = 4  # of a group, up to which all subsets are tried
-_MIN_EXCESS = 1.5  # log10 of a torque over the URDF's, from which it may be a thousandfold
 
 
 @dataclass(frozen=True)
@@ -75,62 +74,104 @@ class Mistake:
             yield Notice(self.fault, "problem", names[joint], f"{defect} ({shares}{or_else})", advice)
 
 
-def possible_mistakes(
-    group: Sequence[int],
-    suspects: Sequence[int],
-    exchanged: Sequence[int],
-    joints: Sequence[UrdfJoint],
-    inverted: set[int],
-    out_of_range: set[int],
-    excess: Array,
-) -> list[Mistake]:
+@dataclass(frozen=True)
+class Evidence:
+    """Joints whose channels look wrong by themselves.
+
+    Attributes
+    ----------
+    inverted
+        Those whose v has the opposite sign of dq/dt.
+    out_of_range
+        Those whose q goes far beyond their limits.
+    torque_factors
+        Those whose torque is about a thousand times that of the URDF's bodies, or a thousandth; and what it would then
+        have to be multiplied by.
+    """
+
+    inverted: set[int]
+    out_of_range: set[int]
+    torque_factors: Mapping[int, float]
+
+    @property
+    def joints(self) -> set[int]:
+        """All of them."""
+        return self.inverted | self.out_of_range | set(self.torque_factors)
+
+
+@dataclass(frozen=True)
+class Suspects:
+    """Joints of a group in which mistakes are looked for, by index.
+
+    Attributes
+    ----------
+    group
+        All joints of the group.
+    single
+        Joints that may be the only one with a mistake.
+    pairs
+        Pairs that may both be inverted, or stand under each other's names.
+    """
+
+    group: tuple[int, ...]
+    single: tuple[int, ...]
+    pairs: tuple[tuple[int, int], ...]
+
+    def subsets(self) -> list[tuple[int, ...]]:
+        """Joints that may have the same mistake, small subsets first: of few joints, all subsets."""
+        if len(self.group) > _MAX_JOINTS:
+            return [*((j,) for j in self.single), *self.pairs, self.group]
+        subsets: list[tuple[int, ...]] = []
+        for size in range(1, len(self.group) + 1):
+            subsets += itertools.combinations(self.group, size)
+        return subsets
+
+    def among(self, joints: set[int]) -> Suspects:
+        """The suspects among some joints."""
+        return Suspects(
+            tuple(j for j in self.group if j in joints),
+            tuple(j for j in self.single if j in joints),
+            tuple(pair for pair in self.pairs if joints.issuperset(pair)),
+        )
+
+
+def possible_mistakes(suspects: Suspects, joints: Sequence[UrdfJoint], evidence: Evidence) -> list[Mistake]:
     """Mistakes in the channels of joints that share bodies, the more likely ones first.
 
     Parameters
     ----------
-    group
-        Indices of the joints.
     suspects
-        Those of them whose channels may be wrong, if not those of all are.
-    exchanged
-        Those of them of which two may be wrong, or stand under each other's names.
+        The joints that share bodies.
     joints
         All joints.
-    inverted
-        Joints whose v has the opposite sign of dq/dt.
-    out_of_range
-        Joints whose q goes far beyond their limits.
-    excess
-        log10 of the rms of each torque over that of the URDF's bodies, shape (nv,).
+    evidence
+        What the channels show without a model of the bodies.
     """
     names = [joint.name for joint in joints]
     nv = len(joints)
-    pairs = list(itertools.combinations(exchanged, 2))
-    with_wrong_unit = _subsets_of_wrong_unit(group, suspects, pairs, out_of_range)
+    inverted = [j for j in suspects.single if j in evidence.inverted]
+    not_inverted = [j for j in suspects.single if j not in evidence.inverted]
+    with_wrong_unit = _subsets_of_wrong_unit(suspects, evidence.out_of_range)
     mistakes = [_position_unit(subset, joints) for subset in with_wrong_unit]
-    mistakes += [_inverted_position(j, nv) for j in suspects if j in inverted]
-    mistakes += [_inverted_torque(subset, nv) for subset in _subsets(group, suspects, pairs)]
-    mistakes += [torque_order(_swap(nv, i, k), names) for i, k in pairs]
-    mistakes += [_inverted_position(j, nv) for j in suspects if j not in inverted]
-    mistakes += [_inverted_joint(j, nv) for j in suspects]
-    mistakes += [_joint_order(_swap(nv, i, k), names) for i, k in pairs]
-    if len(group) > 1:
-        for j in suspects:
-            if abs(excess[j]) > _MIN_EXCESS:
-                mistakes.append(_torque_unit(j, 10 ** (-3 * np.sign(excess[j])), nv))
+    mistakes += [_inverted_position(j, nv) for j in inverted]
+    mistakes += [_inverted_torque(subset, nv) for subset in suspects.subsets()]
+    mistakes += [torque_order(_swap(nv, i, k), names) for i, k in suspects.pairs]
+    mistakes += [_inverted_position(j, nv) for j in not_inverted]
+    mistakes += [_inverted_joint(j, nv) for j in suspects.single]
+    mistakes += [_joint_order(_swap(nv, i, k), names) for i, k in suspects.pairs]
+    if len(suspects.group) > 1:
+        for j in suspects.single:
+            if j in evidence.torque_factors:
+                mistakes.append(_torque_unit(j, evidence.torque_factors[j], nv))
     return mistakes
 
 
-def _subsets_of_wrong_unit(
-    group: Sequence[int], suspects: Sequence[int], pairs: Sequence[tuple[int, int]], out_of_range: set[int]
-) -> list[tuple[int, ...]]:
+def _subsets_of_wrong_unit(suspects: Suspects, out_of_range: set[int]) -> list[tuple[int, ...]]:
     """Joints whose positions may be in a wrong unit, larger subsets first: joints mostly have one unit."""
-    possible = [j for j in group if j in out_of_range]
-    possible_suspects = [j for j in suspects if j in out_of_range]
-    possible_pairs = [pair for pair in pairs if out_of_range.issuperset(pair)]
-    subsets = list(reversed(_subsets(possible, possible_suspects, possible_pairs)))
-    if subsets and len(possible) < len(group):
-        subsets.insert(1, tuple(group))
+    possible = suspects.among(out_of_range)
+    subsets = list(reversed(possible.subsets()))
+    if subsets and len(possible.group) < len(suspects.group):
+        subsets.insert(1, suspects.group)
     return subsets
 
 
@@ -199,13 +240,6 @@ def _joint_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
         )
 
     return replace(torques, details=tuple(details), position=change)
-
-
-def _subsets(group: Sequence[int], suspects: Sequence[int], pairs: Sequence[tuple[int, int]]) -> list[tuple[int, ...]]:
-    """Subsets, small ones first: all of a few joints; of many, single suspects, the given pairs and the whole."""
-    if len(group) <= _MAX_JOINTS:
-        return [subset for size in range(1, len(group) + 1) for subset in itertools.combinations(group, size)]
-    return [*itertools.combinations(suspects, 1), *pairs, tuple(group)]
 
 
 def _swap(nv: int, i: int, k: int) -> list[int]:

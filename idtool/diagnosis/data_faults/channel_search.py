@@ -9,6 +9,7 @@ Letters as in `channel_fit`.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, field, replace
@@ -22,7 +23,7 @@ from idtool.common.number_text import short_number
 from idtool.data.inspection.velocity_findings import is_another_unit
 from idtool.data.signals import Motion
 from idtool.diagnosis.data_faults.channel_fit import MIN_UNEXPLAINED, Change, ChannelFit
-from idtool.diagnosis.data_faults.channel_mistakes import Mistake, possible_mistakes, torque_order
+from idtool.diagnosis.data_faults.channel_mistakes import Evidence, Mistake, Suspects, possible_mistakes, torque_order
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.urdf.reading import UrdfJoint
 
@@ -32,9 +33,13 @@ _MAX_MEAN_RATIO = 0.35  # of the mean of u, after over before
 _MAX_FINAL_MEAN = 0.15  # of u, above which no fault is reported in the end
 _EQUAL_GAIN = 0.7  # difference of two gains below which the preferred mistake is taken
 _MAX_ROUNDS = 4
-_MISTAKES = 3  # that are looked for in each joint and in each pair of joints
-_MOST_WORK = 3.5e9  # mistakes of a group that are undone one by one, times the cube of the number of coefficients
-_FEWEST_SUSPECTS = 2  # joints of a group whose channels are suspected, however long it takes
+_FEW_JOINTS = 7  # of a group, in all of which mistakes are looked for, however long it takes
+_FEWEST_SUSPECTS = 2  # joints of a larger group, likewise
+_MISTAKES = 3  # about as many as are looked for in each joint and in each pair of joints
+_MOST_WORK = (
+    3.5e9  # mistakes of a larger group that are undone one by one, times the cube of the number of coefficients
+)
+_MIN_EXCESS = 1.5  # log10 of a torque over the URDF's, from which it may be a thousandfold
 _NO_FIT = 1e9  # u where no fit is found at all
 _STAGE = "looking for wrong channels"
 _MIN_ORDER_GAIN = 2.0  # as `_MIN_GAIN`, of another order of the torques, with unconstrained coefficients
@@ -79,6 +84,7 @@ class ChannelSearch:
         self._names = [joint.name for joint in self.joints]
         self.position: Change = _as_logged
         self._sample = self.fit.reduced(self.position)
+        self._u: Array | None = None  # with the accepted mistakes undone
 
     def faults(self) -> Iterator[Notice]:
         """All faults of signs, order and units that the motion shows."""
@@ -86,6 +92,7 @@ class ChannelSearch:
         u = self._sample.unexplained(self.T)
         if u is None and self._out_of_range():  # units may be so wrong that no fit is found
             u = np.full(len(self.joints), _NO_FIT)
+        self._u = u
         if u is not None:
             yield from self._mistake_faults(u)
             yield from self._position_faults(u)
@@ -108,7 +115,7 @@ class ChannelSearch:
                 for fault in mistake.faults(self._names, u[group].mean(), after[group].mean(), self.computed):
                     faults.append((group, fault))
             self._accept(list(chosen.values()))
-            u = after
+            u = self._u = after
             chosen = {}
         for group, fault in faults:
             if u[group].mean() < _MAX_FINAL_MEAN:
@@ -143,9 +150,9 @@ class ChannelSearch:
 
     def _best_mistakes(self, u: Array) -> GroupMistakes:
         """The mistake that is best undone next, by group, together with equally good ones."""
-        suspects = self._suspected_mistakes(u)
-        gains: list[list[float]] = [[] for _ in suspects]
-        steps = list(zip_longest(*suspects))  # the k-th mistake of all groups at once
+        candidates = self._suspected_mistakes(u)
+        gains: list[list[float]] = [[] for _ in candidates]
+        steps = list(zip_longest(*candidates))  # the k-th mistake of all groups at once
         for k, step in enumerate(steps):
             self.progress(_STAGE, k / len(steps))
             after = self._unexplained_without([mistake for mistake in step if mistake])
@@ -158,46 +165,60 @@ class ChannelSearch:
             if not own_gains or max(own_gains) <= _MIN_GAIN:
                 continue
             limit = max(own_gains) - _EQUAL_GAIN
-            first, *others = (mistake for mistake, x in zip(suspects[g], own_gains, strict=True) if x > limit)
+            first, *others = (mistake for mistake, x in zip(candidates[g], own_gains, strict=True) if x > limit)
             best[g] = replace(first, others=tuple(others))
         return best
 
     def _suspected_mistakes(self, u: Array) -> list[list[Mistake]]:
-        """Mistakes that may have been made, by group.
-
-        A mistake of the torques alone is left out if even unconstrained coefficients gain too little from undoing it.
-        """
-        out_of_range = self._out_of_range()
-        inverted = {j for j, joint in enumerate(self.joints) if self.gains.get(joint.name, 1.0) < 0}
+        """Mistakes that may have been made, by group."""
+        evidence = self._evidence()
+        unusable = {j for j in evidence.out_of_range if self._names[j] in self.computed}
         by_group = []
         for group in self.fit.groups:
             mistakes: list[Mistake] = []
             if max(u[group]) > _SUSPICIOUS:
-                suspects, exchanged = self._suspects(u, group)
-                mistakes = possible_mistakes(
-                    group.tolist(), suspects, exchanged, self.joints, inverted, out_of_range, self.fit.excess
-                )
+                mistakes = possible_mistakes(self._suspects(u, group, evidence), self.joints, evidence)
             if max(u) == _NO_FIT:
                 mistakes = [mistake for mistake in mistakes if mistake.fault == "wrong_unit"]
-            if any(j in out_of_range and self._names[j] in self.computed for j in group):
+            if unusable.intersection(group.tolist()):
                 mistakes = []  # the torque is computed from impossible positions and shows nothing
-            by_group.append([one for one in mistakes if one.position or self._largest_gain(u, one, group) > _MIN_GAIN])
+            by_group.append([mistake for mistake in mistakes if self._may_explain(u, mistake, group)])
         return by_group
 
-    def _suspects(self, u: Array, group: Indices) -> tuple[list[int], list[int]]:
-        """Joints of a group whose channels are suspected, and those that two mistakes at once are looked for in.
+    def _evidence(self) -> Evidence:
+        """What the channels show by themselves."""
+        inverted = {j for j, joint in enumerate(self.joints) if self.gains.get(joint.name, 1.0) < 0}
+        torque_factors = {}
+        for j, excess in enumerate(self.fit.excess.tolist()):
+            if abs(excess) > _MIN_EXCESS:
+                torque_factors[j] = 1e-3 if excess > 0 else 1e3
+        return Evidence(inverted, self._out_of_range(), torque_factors)
 
-        All of a few joints; of many, those that are explained worst: for each mistake, all bodies are fitted once more,
-        which takes about as long as the cube of the number of their coefficients.
+    def _suspects(self, u: Array, group: Indices, evidence: Evidence) -> Suspects:
+        """Joints of a group in which mistakes are looked for: of many, those with evidence and those explained worst.
+
+        For each mistake, all bodies are fitted once more, which takes about as long as the cube of the number of their
+        coefficients.
         """
-        most = int(_MOST_WORK / len(self.fit.equation.coefficients) ** 3)
-        worst_first = group[np.argsort(-u[group], kind="stable")].tolist()
-        suspects = worst_first[: max(most // _MISTAKES, _FEWEST_SUSPECTS)]
-        most_pairs = (most - _MISTAKES * len(suspects)) // _MISTAKES
-        count = _FEWEST_SUSPECTS
-        while math.comb(count + 1, 2) <= most_pairs and count < len(suspects):
-            count += 1
-        return sorted(suspects), sorted(suspects[:count])
+        has_evidence = np.isin(group, list(evidence.joints))
+        order = np.lexsort([-u[group], ~has_evidence])  # by the last key first
+        most_suspicious_first = group[order].tolist()
+        singles = exchanged = len(group)
+        if len(group) > _FEW_JOINTS:
+            most_fits = int(_MOST_WORK / len(self.fit.equation.coefficients) ** 3)
+            most_suspects = max(most_fits // _MISTAKES, _FEWEST_SUSPECTS)  # single joints and pairs
+            singles = min(most_suspects, len(group))
+            most_pairs = max(most_suspects - singles, 1)
+            exchanged = (1 + math.isqrt(1 + 8 * most_pairs)) // 2  # n joints make n (n − 1) / 2 pairs
+        return Suspects(
+            tuple(group.tolist()),
+            tuple(sorted(most_suspicious_first[:singles])),
+            tuple(itertools.combinations(sorted(most_suspicious_first[:exchanged]), 2)),
+        )
+
+    def _may_explain(self, u: Array, mistake: Mistake, group: Indices) -> bool:
+        """False if even unconstrained coefficients gain too little from undoing a mistake of the torques alone."""
+        return mistake.position is not None or self._largest_gain(u, mistake, group) > _MIN_GAIN
 
     def _largest_gain(self, u: Array, mistake: Mistake, group: Indices) -> float:
         """Bound on the gain from undoing a mistake of the torques alone."""
@@ -255,8 +276,10 @@ class ChannelSearch:
         for j, joint in enumerate(self.joints):
             gain = self.gains.get(joint.name, 1.0)
             if gain < 0 and ("wrong_sign", j) not in corrected:
-                ratio = f"v is {short_number(gain)} times the derivative of q, and q agrees with tau"
-                yield Notice("wrong_sign", "problem", joint.name, ratio, "set the `log.scale` of v to -1")
+                message = f"v is {short_number(gain)} times the derivative of q"
+                if self._u is not None and self._u[j] < _MAX_FINAL_MEAN:
+                    message += ", and q agrees with tau"
+                yield Notice("wrong_sign", "problem", joint.name, message, "set the `log.scale` of v to -1")
             if is_another_unit(gain) and ("wrong_unit", j) not in corrected:
                 ratio = f"the magnitude of v is {short_number(abs(gain))} times that of the derivative of q"
                 advice = f"set the `log.scale` of v to {short_number(1 / gain, 4)}"

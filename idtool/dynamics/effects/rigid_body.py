@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Iterator, Sequence
 import numpy as np
 from typing_extensions import override
 
-from idtool.common.arrays import Array, Indices
+from idtool.common.arrays import Array, Indices, Mask, mask_runs
 from idtool.data.column_cache import IdentityKey
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.effect import Coefficient, Effect
@@ -87,17 +87,26 @@ class RigidBodies(Effect):
         for i, jacobian in enumerate(iterate_jacobians(self.model, motions)):
             body, body_motion = self.model.bodies[i], motions[i]
             D = _inertia_torque(body_motion)
-            parent = body.mount.body
             for first in range(0, len(jacobian.coordinates), at_once):
-                joints = slice(first, first + at_once)
-                coordinates = jacobian.coordinates[joints]
+                coordinates = jacobian.coordinates[first : first + at_once]
                 columns = buffer[: len(coordinates)]
-                _write_columns(body_motion, jacobian.S_w[:, joints], jacobian.S_v[:, joints], D, columns)
-                for joint, own in zip(coordinates, columns, strict=True):
-                    moves_parent = parent >= 0 and self._support[parent, joint]
-                    if not (moves_parent or body.first_free_coordinate is not None):
-                        _write_own_axis_columns(body, body_motion, D, body.ratios[joint], own)
+                is_along_axis = self._moves_along_axis_alone(i)[coordinates]
+                for start, stop in mask_runs(~is_along_axis).tolist():
+                    chosen = slice(first + start, first + stop)
+                    S_w, S_v = jacobian.S_w[:, chosen], jacobian.S_v[:, chosen]
+                    _write_columns(body_motion, S_w, S_v, D, columns[start:stop])
+                for k in np.flatnonzero(is_along_axis):
+                    _write_own_axis_columns(body, body_motion, D, body.ratios[coordinates[k]], columns[k])
                 yield i, coordinates, columns
+
+    def _moves_along_axis_alone(self, i: int) -> Mask:
+        """True for joints that move body i along or about its own axis but not its parent, shape (nv,)."""
+        body = self.model.bodies[i]
+        if body.first_free_coordinate is not None:
+            return np.zeros(self._support.shape[1], dtype=bool)
+        parent = body.mount.body
+        moves_parent = self._support[parent] if parent >= 0 else False
+        return np.asarray(self._support[i] & ~np.asarray(moves_parent))
 
     def torque(self, theta: Array, motion: Motion) -> Array:
         """Columns times coefficients, shape (nv, N) [N·m or N]; faster than by evaluating the columns.
@@ -152,9 +161,9 @@ def _inertia_torque(motion: BodyMotion) -> Array:
     xy, yz, zx = x * y, y * z, z * x
     M = motion.M
     D = np.empty((3, 6, len(x)))
-    D[0] = a, b - zx, -yz, c + xy, M[1, 1] - M[2, 2], yz
-    D[1] = zx, a + yz, b, M[2, 2] - M[0, 0], c - xy, -zx
-    D[2] = -xy, M[0, 0] - M[1, 1], xy, a - yz, b + zx, c
+    np.stack((a, b - zx, -yz, c + xy, M[1, 1] - M[2, 2], yz), out=D[0])
+    np.stack((zx, a + yz, b, M[2, 2] - M[0, 0], c - xy, -zx), out=D[1])
+    np.stack((-xy, M[0, 0] - M[1, 1], xy, a - yz, b + zx, c), out=D[2])
     return D
 
 

@@ -6,14 +6,12 @@ Letters: q, v, a positions, velocities, accelerations (n, W), M mass matrix (W, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
 
-_SECTIONS, _DIVISIONS = 32, 8  # of an interval in which a curve crosses zero, of which 32⁻⁸ is left
 _BY_COLUMN = ("q", "v", "force", "friction_level", "s", "sticking", "a", "hysteresis")
 
 
@@ -113,28 +111,6 @@ def cubic_hermite(x: Array, v0: Array, v1: Array, a0: Array, a1: Array) -> Array
     c2 = 3 * (v1 - v0) - 2 * a0 - a1
     c3 = 2 * (v0 - v1) + a0 + a1
     return np.asarray(v0 + x * (a0 + x * (c2 + x * c3)))
-
-
-def first_crossing(curve: Callable[[Array], Array], sign: Array) -> Array:
-    """Point in [0, 1] just beyond where curves that begin with a sign change it, shape (m,).
-
-    By division of the interval into sections, at whose ends all curves are evaluated at once.
-
-    Parameters
-    ----------
-    curve
-        Values of all m curves at points of shape (sections, m).
-    sign
-        Of each at 0, shape (m,); it has changed at 1.
-    """
-    low, width = np.zeros_like(sign), 1.0
-    ends = np.arange(1, _SECTIONS + 1)[:, None] / _SECTIONS
-    for _ in range(_DIVISIONS):
-        is_beyond = curve(low + width * ends) * sign < 0
-        is_beyond[-1] = True
-        width /= _SECTIONS
-        low = low + width * is_beyond.argmax(axis=0)
-    return low + width
 
 
 def multiply(M: Array, a: Array) -> Array:

@@ -32,7 +32,7 @@ _MAX_JUMP = 1e-7  # SI: between the end of a piece and the start of the next
 _MAX_PASSES = 5  # over all pieces together, before they are done one by one
 # A rollout has diverged if it is faster than both:
 _MAX_SPEED = 1e3  # rad/s or m/s, which hardly any robot's joint reaches
-_MAX_SPEEDUP = 100.0  # times the fastest joint at the start of any rollout
+_MAX_SPEEDUP = 100.0  # times the fastest joint that was measured in its window
 
 Report = Callable[[float], None]  # told the share that is done
 
@@ -193,7 +193,8 @@ class _Run:
         self._input_torque = InputTorque(signals, windows, mechanism)
         self._offset = mechanism.position_offset[:, None]
         q, v = measured_states(signals, [window.start for window in windows])
-        self._max_speed = max(_MAX_SPEED, _MAX_SPEEDUP * float(np.abs(v).max()))
+        measured_speeds = np.array([_fastest_measured(signals, window) for window in windows])
+        self._max_speed = np.maximum(_MAX_SPEED, _MAX_SPEEDUP * measured_speeds)
         step = min(samples_per_step(signals) * signals.log.dt, LONGEST_STEP)
         base = _base_motion(signals, windows, mechanism) if mechanism.model.has_floating_base else None
         with _immovable_as_error(mechanism):
@@ -225,7 +226,7 @@ class _Run:
         def on_step(stepped_ids: Indices, start: RolloutState, end: RolloutState) -> None:
             self._record_samples(stepped_ids, start, end)
             fastest = np.abs(end.v).max(axis=0)
-            diverged_ids = stepped_ids[~(fastest < self._max_speed)]  # NaN has diverged, too
+            diverged_ids = stepped_ids[~(fastest < self._max_speed[stepped_ids])]  # NaN has diverged, too
             if diverged_ids.size:
                 self._stop(diverged_ids, until)
             elapsed = (rollouts.t - self._t0)[stepped_ids]
@@ -273,6 +274,11 @@ class _Run:
             t = self._t0 + np.minimum(k, self._last) * self._signals.log.dt
             tau[:, :, k] = self._input_torque.measured_torque(t, self._q[:, :, k], self._v[:, :, k], rollout_ids)
         return SimulatedWindows(self._windows, self._q, self._v, tau, self._diverged)
+
+
+def _fastest_measured(signals: Signals, window: slice) -> float:
+    """Greatest measured speed of any joint in a window [rad/s or m/s]; 0 if none was measured."""
+    return float(np.fmax.reduce(np.abs(signals.velocity(window)), axis=None, initial=0.0))
 
 
 def _base_motion(signals: Signals, windows: Sequence[slice], mechanism: Mechanism) -> SignalInterpolation:

@@ -5,13 +5,16 @@ Shapes: n coordinates, W rollouts, as in `rollout_state`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.dynamics.simulation.rollout_state import RolloutState, cubic_hermite, first_crossing, solve_acceleration
+from idtool.dynamics.simulation.rollout_state import RolloutState, cubic_hermite, solve_acceleration
 
+_SECTIONS = 32  # that an interval in which a curve crosses zero is divided into, …
+_DIVISIONS = 8  # … so many times: less than 1e-12 of it is left
 _TOLERANCE = 1e-8  # relative: friction this near its level no longer holds
 
 
@@ -59,3 +62,25 @@ def transition_times(start: RolloutState, end: RolloutState, h: Array) -> Array:
         slips = start.sticking & (after < -threshold) & (before > -threshold)
         share[slips] = (before + threshold)[slips] / (before[slips] - after[slips])
     return share
+
+
+def first_crossing(curve: Callable[[Array], Array], sign: Array) -> Array:
+    """Point in [0, 1] just beyond where curves that begin with a sign change it, shape (m,).
+
+    By division of the interval into sections, at whose ends all curves are evaluated at once.
+
+    Parameters
+    ----------
+    curve
+        Values of all m curves at points of shape (sections, m).
+    sign
+        Of each at 0, shape (m,); it has changed at 1.
+    """
+    low, width = np.zeros_like(sign), 1.0
+    ends = np.arange(1, _SECTIONS + 1)[:, None] / _SECTIONS
+    for _ in range(_DIVISIONS):
+        is_beyond = curve(low + width * ends) * sign < 0
+        is_beyond[-1] = True
+        width /= _SECTIONS
+        low = low + width * is_beyond.argmax(axis=0)
+    return low + width

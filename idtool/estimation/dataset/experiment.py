@@ -268,7 +268,8 @@ class Experiment:
         LogError
             If a joint has no sample that counts.
         """
-        return self.checked_blocks(self._unchecked_blocks(rows, progress, stage, columns))
+        widths = self.columns_of_coefficients if columns is None else columns
+        return self.checked_blocks(self._unchecked_blocks(rows, progress, stage, widths))
 
     def checked_blocks(self, blocks: Sequence[Blocks]) -> tuple[Blocks, ...]:
         """The training data in blocks, checked to have samples for every joint; LogError as `blocks`."""
@@ -277,17 +278,13 @@ class Experiment:
         return tuple(blocks)
 
     def _unchecked_blocks(
-        self,
-        rows: Callable[[Run], Rows],
-        progress: Progress,
-        stage: str = "reading",
-        columns: Sequence[int] | None = None,
+        self, rows: Callable[[Run], Rows], progress: Progress, stage: str, columns: Sequence[int]
     ) -> tuple[Blocks, ...]:
         """`blocks`, whose joints may have no sample that counts; none if the logs are too short."""
         runs = [run for run in self.runs if run.train]
         of_logs = [rows(run) for run in runs]
         row_counts = [batches.rows for batches in of_logs]
-        lengths = self.block_rows(runs, row_counts, rounded_count(len(self.runs)), columns)
+        lengths = self.block_rows(runs, row_counts, columns, rounded_count(len(self.runs)))
 
         def cut(part: LogPart[tuple[list[Array], Shares]]) -> list[tuple[int, Reduction]]:
             redundancy = runs[part.log].signals.low_pass.redundancy
@@ -306,12 +303,13 @@ class Experiment:
                 blocks.append(Blocks(run.signals.log.path.name, tuple(of_log.values()), seconds))
         return tuple(blocks)
 
+    @property
+    def columns_of_coefficients(self) -> list[int]:
+        """Number of columns of each joint's equation, one for each of its coefficients."""
+        return [len(active) for active in self.equation.active()]
+
     def block_rows(
-        self,
-        runs: Sequence[Run],
-        rows: Sequence[int],
-        logs: int | None = None,
-        columns: Sequence[int] | None = None,
+        self, runs: Sequence[Run], rows: Sequence[int], columns: Sequence[int], logs: int | None = None
     ) -> list[int]:
         """Number of rows in a block of each of some logs; see `blocks.block_rows`.
 
@@ -321,14 +319,13 @@ class Experiment:
             The logs.
         rows
             Number of rows of each.
+        columns
+            Number of columns of each joint.
         logs
             Number of logs of which these are some; None: there are no others.
-        columns
-            Number of columns of each joint; None: one for each of its coefficients.
         """
         steps = [run.signals.row_step for run in runs]
-        most = most_blocks(columns or map(len, self.equation.active()))
-        return block_rows(rows, steps, self.band_hz, most, logs or rounded_count(len(runs)))
+        return block_rows(rows, steps, self.band_hz, most_blocks(columns), logs or rounded_count(len(runs)))
 
     def reduce(self, progress: Progress) -> Reduction:
         """The training data as R-factors; see `checked`."""
@@ -336,7 +333,7 @@ class Experiment:
 
     def reduce_unchecked(self, progress: Progress) -> Reduction:
         """The training data as R-factors, of which some joints may have no rows."""
-        blocks = self._unchecked_blocks(self.rows, progress)
+        blocks = self._unchecked_blocks(self.rows, progress, "reading", self.columns_of_coefficients)
         return merge_reductions([empty(self.equation.active()), *(log.total for log in blocks)])
 
     def checked(self, data: Reduction) -> Reduction:

@@ -212,7 +212,7 @@ def training_blocks(experiment: Experiment, logs: Sequence[ReducedLog]) -> tuple
     rows = [sum(part.rows for part in log.train) for log in used]
     steps = [log.row_step for log in used]
     count = rounded_count(len(logs))
-    most = most_blocks(map(len, experiment.equation.active()))
+    most = most_blocks(experiment.columns_of_coefficients)
     lengths = block_rows(rows, steps, experiment.band_hz, most, count)
     blocks = []
     for log, length in zip(used, lengths, strict=True):
@@ -256,11 +256,12 @@ def _without_last_column(reduction: Reduction) -> Reduction:
 def _rows_per_block(experiment: Experiment, logs: int) -> list[int]:
     """Number of rows in a block of each log of an experiment, of as many logs in all."""
     lengths = [0] * len(experiment.runs)
+    columns = experiment.columns_of_coefficients
     for is_trained in (True, False):  # the number of blocks of the others limits that of none that is fitted
         numbers = [i for i, run in enumerate(experiment.runs) if bool(run.train) is is_trained]
         runs = [experiment.runs[i] for i in numbers]
         rows = [experiment.batches(run, held_out=not is_trained).rows for run in runs]
-        for i, length in zip(numbers, experiment.block_rows(runs, rows, logs), strict=True):
+        for i, length in zip(numbers, experiment.block_rows(runs, rows, columns, logs), strict=True):
             lengths[i] = length
     return lengths
 

@@ -27,8 +27,8 @@ from idtool.estimation.dataset.envelope import Envelope, Trace
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
 HORIZONS = (0.01, 0.05, 0.1, 0.5)  # s
-_LONGEST = 60.0  # s of open-loop motion that are simulated; of a longer log, windows spread over it
-_MANY_JOINTS = 12  # from which on it is less, since a step takes about as long as the square of their number
+_LONGEST = 60.0  # s of open-loop motion that are simulated of few joints; of a longer log, windows spread over it
+_MANY_JOINTS = 12  # above which it is less, since a step takes about as long as the square of their number
 _DRAWN = 1000  # stretches of time in which the least and greatest position are drawn
 
 Kind = Literal["open_loop", "closed_loop"]

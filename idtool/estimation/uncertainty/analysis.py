@@ -55,7 +55,7 @@ class UncertaintyAnalysis:
     repeatability
         The logs against each other; None for a single one, or where it was not asked for.
     bias
-        Least squares beside instrumental variables; None where it was not asked for or would take long.
+        Least squares beside instrumental variables; None where it was not asked for, or would take long or much memory.
     notices
         Notices for the user.
     """
@@ -306,7 +306,8 @@ def _bias_unchecked(experiment: Experiment) -> Notice:
     if not experiment.runs:
         what = "least squares was not checked for bias: this needs the logs, of which a reduction has no samples"
         return Notice("bias_unchecked", "note", None, what)
-    what = "least squares was not checked for bias: it would take too long, or no instruments are available"
+    reason = "it would take too long or too much memory, or no instruments are available"
+    what = f"least squares was not checked for bias: {reason}"
     return Notice("bias_unchecked", "note", None, what, "see --method iv")
 
 

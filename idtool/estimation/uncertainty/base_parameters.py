@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.common.linear_algebra import stacked_rows
+from idtool.common.linear_algebra import rows_or_triangle
 from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
@@ -28,8 +28,8 @@ from idtool.robot.model import RobotModel
 _RANK = 1e-5  # of a column: what the others leave of it by less is rounding, such as that of 1.5708 in a URDF
 _ZERO = 1e-5  # of a column, as a share of a combination: the same
 _SECONDS = 30.0  # of a random motion
-_SAMPLES = (300, 1500)  # fewest, however much memory their columns take, and most of it
-_NUMBERS = 1 << 23  # in these columns
+_SAMPLES = (300, 1500)  # of it: fewest, however much memory their columns take, and most
+_BYTES = 64 << 20  # that these columns may take
 _TONES = 7  # per joint
 _HIGHEST_FREQUENCY = 1.5  # Hz
 _RANGE = {"revolute": 1.5, "prismatic": 0.5}  # rad or m, rms
@@ -106,12 +106,13 @@ def structural_base_parameters(
     p = len(equation.coefficients)
     equalities = equalities or EqualityConstraints.none(p)
     active = equation.active_in_columns()
-    numbers_per_sample = sum(len(columns) + 1 for columns in active)
-    motion = random_motion(model, samples=int(np.clip(_NUMBERS // numbers_per_sample, *_SAMPLES)))
+    bytes_per_sample = 8 * sum(len(columns) + 1 for columns in active)
+    samples = int(np.clip(_BYTES // bytes_per_sample, *_SAMPLES))
     factors = []
-    for columns, block in zip(active, equation.columns(motion), strict=True):
-        factors.append((np.asarray(np.linalg.qr(block[:-1].T, mode="r")), columns))
-    Y = stacked_rows(factors, p)
+    for columns, block in zip(active, equation.columns(random_motion(model, samples)), strict=True):
+        R = np.asarray(np.linalg.qr(block[:-1].T, mode="r"))
+        factors.append((R, columns))
+    Y = rows_or_triangle(factors, p)
     order = np.argsort(equalities.free < PI_SIZE * len(model.bodies), kind="stable")  # friction bears its own name
     base = base_parameters(without_rounding(Y, equation, _RANK) @ equalities.K, order)
     B = np.zeros((len(base), p))
@@ -139,9 +140,9 @@ def without_rounding(Y: Array, equation: LinearModel, rounding: float) -> Array:
     return np.where(zeroed, 0.0, Y)
 
 
-def random_motion(model: RobotModel, seed: int = 0, samples: int = _SAMPLES[1]) -> Motion:
+def random_motion(model: RobotModel, samples: int) -> Motion:
     """A smooth motion without any regularity, limits not regarded; what depends on time or history can be told too."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     dt = _SECONDS / samples
     t: Array = dt * np.arange(samples, dtype=np.float64)
     nv = len(model.joints)

@@ -17,11 +17,11 @@ from scipy.special import stdtr
 from idtool.common.arrays import Array, Mask
 from idtool.common.exceptions import ModelError
 from idtool.common.linear_algebra import least_squares
-from idtool.estimation.dataset.blocks import Blocks, merge_reductions, most_blocks
+from idtool.estimation.dataset.blocks import Blocks, merge_reductions, rounded_count
 from idtool.estimation.dataset.experiment import Experiment, Progress
 from idtool.estimation.dataset.reduction import Reduction
 from idtool.estimation.identification import Identification
-from idtool.estimation.instruments import Kind, instrumented_blocks, instruments
+from idtool.estimation.instruments import Kind, instrumented_blocks, instrumented_columns, instruments
 from idtool.estimation.two_stage import unprojected, weak_joints
 from idtool.estimation.uncertainty.base_parameters import BaseParameters
 from idtool.estimation.uncertainty.cluster_robust import ClusterRobustEstimate, cluster_robust_estimate
@@ -30,7 +30,7 @@ from idtool.estimation.uncertainty.false_discovery import discoveries
 _RANK = 1e-8  # of the largest singular value of scaled columns: less is rounding
 _LONGEST = 60.0  # s of closed loop that are simulated only to see whether least squares is biased
 _LONGEST_SMOOTHED = 600.0  # s that are smoothed for it: they are held in memory
-_MOST_BYTES = 512 << 20  # that the rows of both estimates may take for it
+_MOST_BYTES = 512 << 20  # that R-factors with instruments may take for it
 _FALSE_DISCOVERIES = 0.05  # of the parameters that are said to differ
 
 
@@ -75,7 +75,7 @@ class EstimatePair:
 
 
 def paired_estimates(experiment: Experiment, identification: Identification, progress: Progress) -> EstimatePair | None:
-    """Least squares and instrumental variables; None where instruments would take long or there are none.
+    """Least squares and instrumental variables; None where these would take long or much memory, or there are none.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def paired_estimates(experiment: Experiment, identification: Identification, pro
         return None
     if two_stage is not None:
         made = two_stage.instruments
-    elif _takes_long(experiment, identification.data):
+    elif _is_too_large(experiment):
         return None
     else:
         try:
@@ -110,21 +110,24 @@ def _seconds(experiment: Experiment) -> float:
     return float(sum((part.stop - part.start) * run.signals.log.dt for run in experiment.runs for part in run.train))
 
 
-def _takes_long(experiment: Experiment, data: Sequence[Blocks]) -> bool:
-    """True if instruments would take long to make, or the rows of both estimates much memory."""
+def _is_too_large(experiment: Experiment) -> bool:
+    """True if instruments would take long to make, or the R-factors with them much memory."""
     longest = _LONGEST if experiment.config.controller else _LONGEST_SMOOTHED
-    return _seconds(experiment) > longest or _expected_bytes(experiment, data) > _MOST_BYTES
+    return _seconds(experiment) > longest or factor_bytes(experiment) > _MOST_BYTES
 
 
-def _expected_bytes(experiment: Experiment, data: Sequence[Blocks]) -> float:
-    """Bytes that the R-factors of [Z_j, Y_j, tau_j] take, if there are no more blocks than of [Y_j, tau_j]."""
-    widths = [2 * len(active) + 1 for active in experiment.equation.active()]
-    most = most_blocks(width - 1 for width in widths)
-    numbers = 0.0
-    for log in data:
-        blocks = min(len(log), most)
-        for width, factor in zip(widths, log.total, strict=True):
-            numbers += width * min(factor.rows, blocks * width)
+def factor_bytes(experiment: Experiment) -> int:
+    """Bytes that R-factors of [Z_j, Y_j, tau_j] take, if every row counts; see `instrumented_blocks`."""
+    columns = instrumented_columns(experiment)
+    runs = [run for run in experiment.runs if run.train]
+    rows = [experiment.batches(run, held_out=False).rows for run in runs]
+    lengths = experiment.block_rows(runs, rows, columns, rounded_count(len(experiment.runs)))
+    numbers = 0
+    for count, length in zip(rows, lengths, strict=True):
+        blocks, rest = divmod(count, length)
+        for width in (each + 1 for each in columns):
+            factor_rows = blocks * min(length, width) + min(rest, width)
+            numbers += width * factor_rows
     return 8 * numbers
 
 
