@@ -187,7 +187,7 @@ def test_a_mass_swung_to_and_fro(robot_of: ReadRobot, every: float) -> None:
 
 
 def test_the_first_of_several_crossings_is_found_just_beyond() -> None:
-    """Of lines, at the ends of the interval and of its sections too, and of cubics with three roots that are a section apart."""
+    """Of lines, at both ends of the interval and of its sections, and of cubics with three roots a section apart."""
     roots = np.array([[1e-9, 2, 3], [0.25, 2, 3], [0.3, 2, 3], [1.0, 2, 3], [0.2, 0.5, 0.9], [0.2, 0.24, 0.9]])
     sign = np.array([1.0, -1.0, 1.0, 1.0, 1.0, -1.0])
 
