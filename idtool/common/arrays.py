@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,24 @@ Indices = NDArray[np.intp]
 def mask_runs(mask: Mask) -> Indices:
     """First index of each run of True and the one after its last, shape (k, 2)."""
     return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
+
+
+def items_at(buffer: bytes, offsets: Indices, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Items of a type at ascending offsets in a buffer, shape (k,); a view if they are at equal distances."""
+    distances = np.diff(offsets)
+    if len(distances) and (distances == distances[0]).all():
+        return np.ndarray(len(offsets), dtype, buffer, int(offsets[0]), strides=(int(distances[0]),))
+    if not len(offsets):
+        return np.empty(0, dtype)
+    at_every_byte = np.ndarray(len(buffer) - dtype.itemsize + 1, dtype, buffer, strides=(1,))
+    return np.asarray(at_every_byte[offsets])
+
+
+def indices_by_value(x: Indices) -> list[tuple[int, Indices]]:
+    """Each value in an array of integers, ascending, with the indices of its entries, ascending."""
+    if len(x) and (x == x[0]).all():  # much faster than looking for different ones
+        return [(int(x[0]), np.arange(len(x)))]
+    return [(value, np.flatnonzero(x == value)) for value in np.unique(x).tolist()]
 
 
 def dilated(mask: Mask, reach: int) -> Mask:

@@ -6,15 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from idtool.common.exceptions import LogError
 from idtool.common.names import printable
 from idtool.data.logs.bag import is_bag, log_files
 from idtool.data.logs.definitions import Definitions, list_topics, message_type
 from idtool.data.logs.mcap_file import open_mcap
-from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, McapRecords, RecordBatch
+from idtool.data.logs.mcap_records import McapRecords, RecordBatch
 from idtool.data.logs.payloads import text_decoder_for
 from idtool.data.logs.payloads.base import TextDecoder
 
@@ -126,10 +123,7 @@ def _texts(path: Path, file: Path, records: McapRecords, topics: _TopicTypes) ->
 
 def _messages(batch: RecordBatch, channels: Sequence[int]) -> Iterator[tuple[int, bytes]]:
     """The messages of some channels, each with the channel's id."""
-    if not channels or not len(batch.messages):
-        return
-    heads: NDArray[np.void] = batch.heads
-    for i in np.flatnonzero(np.isin(heads["channel"], channels)).tolist():
-        start = int(batch.messages[i]) + HEAD.itemsize
-        stop = start + int(heads["length"][i]) - MESSAGE_FIELDS
-        yield int(heads["channel"][i]), batch.buffer[start:stop]
+    for channel, messages in batch.channels.items():
+        if channel in channels:
+            for start, length in zip(messages.starts.tolist(), messages.lengths.tolist(), strict=True):
+                yield channel, batch.buffer[start : start + length]

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO
@@ -20,9 +20,10 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from idtool.common.arrays import Indices
+from idtool.common.arrays import Indices, indices_by_value, items_at
 from idtool.common.exceptions import LogError
 from idtool.common.threads import Job, evaluated_ahead
+from idtool.data.logs.sample_buffer import Samples
 from idtool.data.logs.size_limits import check_expanded_size
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -54,6 +55,34 @@ _RECORD_HEAD = np.dtype([("opcode", "u1"), ("length", "<u8")])
 
 
 @dataclass(frozen=True)
+class ChannelMessages:
+    """Messages of one channel in a buffer.
+
+    Attributes
+    ----------
+    index
+        Their positions among the messages of the batch, ascending, shape (k,).
+    starts, lengths
+        Offsets of their payloads in the buffer, and their lengths, shape (k,) [bytes].
+    log_time
+        When they were logged, shape (k,) [ns].
+    """
+
+    index: Indices
+    starts: Indices
+    lengths: Indices
+    log_time: NDArray[np.uint64]
+
+    def stamp(self, samples: Samples) -> Samples:
+        """Samples decoded from these messages; those without a stamp, whose time is 0, get their log time."""
+        has_no_stamp = samples.t == 0
+        if not has_no_stamp.any():
+            return samples
+        seconds, nanoseconds = np.divmod(self.log_time[samples.index], np.uint64(10**9))
+        return replace(samples, t=np.where(has_no_stamp, seconds + nanoseconds / 1e9, samples.t))
+
+
+@dataclass(frozen=True)
 class RecordBatch:
     """Records of one buffer.
 
@@ -63,19 +92,13 @@ class RecordBatch:
         The bytes of the records.
     definitions
         Offsets of the schemas and channels.
-    messages
-        Offsets of the messages, shape (k,).
+    channels
+        The messages of each channel, by its id, ascending.
     """
 
     buffer: bytes
     definitions: list[int]
-    messages: Indices
-
-    @property
-    def heads(self) -> NDArray[np.void]:
-        """The messages' fields before the payload, of type `HEAD`, shape (k,), k > 0."""
-        at_every_byte = np.ndarray(len(self.buffer) - HEAD.itemsize + 1, HEAD, self.buffer, strides=(1,))
-        return at_every_byte[self.messages]
+    channels: Mapping[int, ChannelMessages]
 
 
 @dataclass(frozen=True)
@@ -100,8 +123,8 @@ class _Buffer:
 class McapRecords:
     """The data section of an MCAP file.
 
-    Iterating raises LogError where the file is damaged anywhere but at its truncated end. Chunks are decompressed in a
-    thread, a few ahead of the records that are asked for.
+    Iterating raises LogError where the file is damaged anywhere but at its truncated end. Chunks are decompressed, and
+    their messages found, in a thread, a few ahead of the records that are asked for.
 
     Parameters
     ----------
@@ -128,36 +151,48 @@ class McapRecords:
         self.truncated = file.read(len(MAGIC)) != MAGIC or self._end < 2 * len(MAGIC)
 
     def __iter__(self) -> Iterator[RecordBatch]:
-        for records in evaluated_ahead(self._buffers(), _LOOK_AHEAD_BYTES):
-            buffer = records.data
-            definitions: list[int] = []
-            messages: list[int] = []
-            last_length = -1
-            offset = 0
-            while len(buffer) - offset >= RECORD.size:
-                opcode, length = RECORD.unpack_from(buffer, offset)
-                stride = RECORD.size + length
-                next_offset = offset + stride
-                if next_offset > len(buffer):
-                    break
-                if opcode == MESSAGE:
-                    if length < MESSAGE_FIELDS:
-                        raise self._damage_error(records.start)
-                    if length == last_length:
-                        count = _messages_of_length(buffer, offset, length, _BATCH - len(messages))
-                        next_offset = offset + count * stride
-                    messages.extend(range(offset, next_offset, stride))
-                    last_length = length
-                    if len(messages) == _BATCH:
-                        yield RecordBatch(buffer, definitions, np.array(messages))
-                        definitions, messages = [], []
-                elif opcode in (SCHEMA, CHANNEL):
-                    definitions.append(offset)
-                offset = next_offset
-            if records.is_complete and offset != len(buffer):
-                raise self._damage_error(records.start)
-            if definitions or messages:
-                yield RecordBatch(buffer, definitions, np.array(messages, dtype=np.intp))
+        for batches in evaluated_ahead(self._batches_of_buffers(), _LOOK_AHEAD_BYTES):
+            yield from batches
+
+    def _batches_of_buffers(self) -> Iterator[Job[list[RecordBatch]]]:
+        """The batches of one buffer after the other, still to be made."""
+        for job in self._buffers():
+            yield Job(job.size, partial(self._batches, job.evaluate))
+
+    def _batches(self, read_buffer: Callable[[], _Buffer]) -> list[RecordBatch]:
+        """The records of a buffer."""
+        records = read_buffer()
+        buffer = records.data
+        batches: list[RecordBatch] = []
+        definitions: list[int] = []
+        messages: list[int] = []
+        last_length = -1
+        offset = 0
+        while len(buffer) - offset >= RECORD.size:
+            opcode, length = RECORD.unpack_from(buffer, offset)
+            stride = RECORD.size + length
+            next_offset = offset + stride
+            if next_offset > len(buffer):
+                break
+            if opcode == MESSAGE:
+                if length < MESSAGE_FIELDS:
+                    raise self._damage_error(records.start)
+                if length == last_length:
+                    count = _messages_of_length(buffer, offset, length, _BATCH - len(messages))
+                    next_offset = offset + count * stride
+                messages.extend(range(offset, next_offset, stride))
+                last_length = length
+                if len(messages) == _BATCH:
+                    batches.append(RecordBatch(buffer, definitions, _channels(buffer, messages)))
+                    definitions, messages = [], []
+            elif opcode in (SCHEMA, CHANNEL):
+                definitions.append(offset)
+            offset = next_offset
+        if records.is_complete and offset != len(buffer):
+            raise self._damage_error(records.start)
+        if definitions or messages:
+            batches.append(RecordBatch(buffer, definitions, _channels(buffer, messages)))
+        return batches
 
     def _buffers(self) -> Iterator[Job[_Buffer]]:
         """Runs of records, chunks still to be decompressed."""
@@ -247,6 +282,18 @@ def _loose_records(start: int, records: bytearray) -> Job[_Buffer]:
     """Records outside chunks."""
     data = bytes(records)
     return Job(len(data), partial(_Buffer, start, data))
+
+
+def _channels(buffer: bytes, messages: Sequence[int]) -> dict[int, ChannelMessages]:
+    """The messages at some offsets, ascending, by the id of their channel."""
+    offsets = np.array(messages, dtype=np.intp)
+    heads = items_at(buffer, offsets, HEAD)
+    channels = {}
+    for channel, index in indices_by_value(heads["channel"]):
+        starts = offsets[index] + HEAD.itemsize
+        lengths = heads["length"][index].astype(np.intp) - MESSAGE_FIELDS
+        channels[channel] = ChannelMessages(index, starts, lengths, heads["log_time"][index])
+    return channels
 
 
 def _messages_of_length(buffer: bytes, offset: int, length: int, most: int) -> int:

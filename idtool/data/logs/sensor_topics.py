@@ -14,13 +14,12 @@ import numpy as np
 from mcap.records import Channel as ChannelDefinition
 from mcap.records import Schema
 
-from idtool.common.arrays import Indices
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.data.logs.definitions import Definitions
 from idtool.data.logs.log import Channel
-from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, RecordBatch
+from idtool.data.logs.mcap_records import ChannelMessages, RecordBatch
 from idtool.data.logs.message_options import FieldSource, MessageOptions, find_field_source
 from idtool.data.logs.payloads import sensor_decoder_for
 from idtool.data.logs.payloads.base import Decoder, FieldError, MissingFieldError, PayloadError
@@ -126,12 +125,9 @@ class SensorTopics:
             topic = self._sensor_topic(definition, schema)
             if topic is not None:
                 self._by_channel[definition.id] = self._topics.setdefault(definition.topic, topic)
-        if not len(batch.messages) or not self._by_channel:
-            return
-        heads = batch.heads
-        for channel_id in np.unique(heads["channel"]).tolist():
+        for channel_id, messages in batch.channels.items():
             if channel_id in self._by_channel:
-                self._decode(self._by_channel[channel_id], batch, np.flatnonzero(heads["channel"] == channel_id))
+                self._decode(self._by_channel[channel_id], batch.buffer, messages)
 
     @property
     def imus(self) -> tuple[str, ...]:
@@ -243,15 +239,12 @@ class SensorTopics:
         except FieldError:  # if it is of the topic of the states, it is raised there
             return None
 
-    def _decode(self, topic: _Topic, batch: RecordBatch, index: Indices) -> None:
-        """Add the messages of a batch at ``index``; those without a stamp get their log time."""
+    def _decode(self, topic: _Topic, buffer: bytes, messages: ChannelMessages) -> None:
+        """Add messages of a buffer to their topic."""
         if topic.missing_field is not None:
             return
-        heads = batch.heads[index]
-        starts = batch.messages[index] + HEAD.itemsize
-        lengths = heads["length"].astype(np.intp) - MESSAGE_FIELDS
         try:
-            decoded = topic.decoder(batch.buffer, starts, lengths)
+            decoded = topic.decoder(buffer, messages.starts, messages.lengths)
         except PayloadError as error:
             if isinstance(error, MissingFieldError) and not topic.is_addressed and not topic.has_messages:
                 topic.missing_field = error.field_error
@@ -261,10 +254,8 @@ class SensorTopics:
                 raise fault from None
             topic.error = fault  # it may not be the topic of the states
             return
-        seconds, nanoseconds = np.divmod(heads["log_time"], np.uint64(10**9))
-        log_time = seconds + nanoseconds / 1e9
         for piece in decoded:
-            t = np.where(piece.t == 0, log_time[piece.index], piece.t)
+            t = messages.stamp(piece).t
             topic.rows.append(np.column_stack([t, piece.signals["sensor"][:, topic.used]]))
 
 

@@ -10,13 +10,11 @@ from pathlib import Path
 
 import numpy as np
 from mcap.records import Channel, Schema
-from numpy.typing import NDArray
 
-from idtool.common.arrays import Indices
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.data.logs.definitions import Definitions, list_topics, message_type
-from idtool.data.logs.mcap_records import HEAD, MESSAGE_FIELDS, RecordBatch
+from idtool.data.logs.mcap_records import ChannelMessages, RecordBatch
 from idtool.data.logs.message_options import DEFAULT_MESSAGES, MessageOptions, find_field_source
 from idtool.data.logs.payloads import decoder_for
 from idtool.data.logs.payloads.base import Decoder, FieldError, MissingFieldError, PayloadError
@@ -106,19 +104,15 @@ class TopicReader:
         """
         for channel, schema in self._definitions.read(batch):
             self._add_channel(channel, schema)
-        if not len(batch.messages):
-            return
-        heads = batch.heads
         samples_by_topic: dict[str, list[Samples]] = {}
-        for channel_id in np.unique(heads["channel"]).tolist():
+        for channel_id, messages in batch.channels.items():
             self._definitions.check_channel(channel_id)
             name, decoder = self._channels[channel_id]
             topic = self._topics[name]
-            index = np.flatnonzero(heads["channel"] == channel_id)
             needed = self._is_needed(name)
             if decoder and (needed or topic.positions < _MIN_POSITIONS):
                 try:
-                    samples = self._decode(name, decoder, batch, heads, index)
+                    samples = self._decode(name, decoder, batch.buffer, messages)
                 except LogError as error:
                     if not topic.is_fallback:
                         raise
@@ -134,7 +128,7 @@ class TopicReader:
                     topic.positions += sum(map(_count_positions, samples))
                 if needed:
                     samples_by_topic.setdefault(name, []).extend(samples)
-            topic.messages += len(index)
+            topic.messages += len(messages.index)
         for name, samples in samples_by_topic.items():
             self._topics[name].samples.append(samples)
 
@@ -285,31 +279,20 @@ class TopicReader:
             return _StateDecoder(source.decoders.states, not fields_come_first, source.preset)
         return _StateDecoder(decode_joint_states, is_fallback=True, error=field_error)
 
-    def _decode(
-        self, name: str, decoder: Decoder, batch: RecordBatch, heads: NDArray[np.void], index: Indices
-    ) -> list[Samples]:
-        """The samples of the messages of a batch at ``index``; those without a stamp get their log time.
+    def _decode(self, name: str, decoder: Decoder, buffer: bytes, messages: ChannelMessages) -> list[Samples]:
+        """The samples in messages of a buffer, indexed among all messages of the batch.
 
         FieldError if the first message lacks a field, which its definition did not tell.
         """
-        heads = heads[index]
-        starts = batch.messages[index] + HEAD.itemsize
-        lengths = heads["length"].astype(np.intp) - MESSAGE_FIELDS
         try:
-            decoded = decoder(batch.buffer, starts, lengths)
+            decoded = decoder(buffer, messages.starts, messages.lengths)
         except PayloadError as error:
             is_first = self._topics[name].messages + error.index == 0
             if isinstance(error, MissingFieldError) and is_first:
                 raise error.field_error from None
             number = self._topics[name].messages + error.index + 1
             raise LogError(self._path, f"message {number} of {printable(name)} {error}") from None
-        seconds, nanoseconds = np.divmod(heads["log_time"], np.uint64(10**9))
-        log_time = seconds + nanoseconds / 1e9
-        samples = []
-        for piece in decoded:
-            t = np.where(piece.t == 0, log_time[piece.index], piece.t)
-            samples.append(replace(piece, index=index[piece.index], t=t))
-        return samples
+        return [replace(messages.stamp(piece), index=messages.index[piece.index]) for piece in decoded]
 
 
 def _count_positions(samples: Samples) -> int:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.common.arrays import Array, Indices
+from idtool.common.arrays import Array
 from idtool.data.logs.payloads.base import (
     SIGNALS,
     Decoder,
@@ -34,9 +34,8 @@ from idtool.data.logs.payloads.cdr_cursor import (
     truncation_error,
 )
 from idtool.data.logs.payloads.cdr_fields import field_decoders
-from idtool.data.logs.payloads.layout import Bytes, Layout, decode_by_layout
+from idtool.data.logs.payloads.layout import Bytes, Layout, LayoutDecoder
 from idtool.data.logs.payloads.sensor_types import SENSOR_TYPES, SensorType
-from idtool.data.logs.sample_buffer import Samples
 
 if TYPE_CHECKING:
     from mcap.records import Schema
@@ -62,7 +61,7 @@ uint32 nanosec
 
 def decoder(schema: Schema) -> Decoder | None:
     """Decoder of JointState messages, in whatever language their schema is written."""
-    return _decode if schema.name.replace("/msg/", "/") == "sensor_msgs/JointState" else None
+    return LayoutDecoder(layout_of) if schema.name.replace("/msg/", "/") == "sensor_msgs/JointState" else None
 
 
 def text(schema: Schema) -> TextDecoder | None:
@@ -75,13 +74,8 @@ def sensor(schema: Schema) -> SensorDecoder | None:
     sensor_type = SENSOR_TYPES.get(schema.name.replace("/msg/", "/"))
     if sensor_type is None:
         return None
-    layout = partial(_sensor_layout, sensor_type=sensor_type)
-
-    def decode(buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
-        samples, _ = decode_by_layout(buffer, starts, lengths, layout)
-        return samples
-
-    return SensorDecoder(decode, sensor_type.numbers)
+    layout_of_message = partial(_sensor_layout, sensor_type=sensor_type)
+    return SensorDecoder(LayoutDecoder(layout_of_message), sensor_type.numbers)
 
 
 def fields(schema: Schema, fields: MessageFields) -> FieldDecoders:
@@ -115,11 +109,6 @@ def _text(message: bytes) -> bytes:
     if start + size > len(message):
         raise truncation_error(message)
     return message[start : start + size].removesuffix(b"\0")
-
-
-def _decode(buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
-    samples, _ = decode_by_layout(buffer, starts, lengths, layout_of)
-    return samples
 
 
 def layout_of(message: bytes) -> Layout:

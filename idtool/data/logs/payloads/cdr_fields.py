@@ -18,7 +18,7 @@ from idtool.common.names import count_text, printable
 from idtool.data.logs.payloads.addressed_fields import AddressedFields, find_fields
 from idtool.data.logs.payloads.base import Decoder, FieldDecoders, FieldError, MessageFields, check_names
 from idtool.data.logs.payloads.cdr_cursor import Cursor, no_stamp, stamp_seconds
-from idtool.data.logs.payloads.layout import Bytes, Layout, decode_by_layout
+from idtool.data.logs.payloads.layout import Bytes, Layout, LayoutDecoder
 from idtool.data.logs.payloads.message_type import NUMBERS, Kind, MessageType
 from idtool.data.logs.payloads.ros2_definition import TIME, parse_definition, short_type_name
 from idtool.data.logs.sample_buffer import MAX_JOINTS, Samples
@@ -181,13 +181,7 @@ def _record_offset(nodes: Sequence[_PathNode], offset: int, kind: Kind, found: _
 
 
 def _state_decoder(reader: _Reader, fields: MessageFields) -> Decoder:
-    layout = partial(_state_layout, reader=reader, fields=fields)
-
-    def decode(buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
-        samples, _ = decode_by_layout(buffer, starts, lengths, layout)
-        return samples
-
-    return decode
+    return LayoutDecoder(partial(_state_layout, reader=reader, fields=fields))
 
 
 def _state_layout(message: bytes, reader: _Reader, fields: MessageFields) -> Layout:
@@ -215,10 +209,10 @@ def _sensor_decoder(reader: _Reader, addressed: AddressedFields) -> Decoder | No
     channels, thresholds = addressed.channels, addressed.thresholds
     if not channels:
         return None
-    layout = partial(_sensor_layout, reader=reader, channels=channels)
+    decode_numbers = LayoutDecoder(partial(_sensor_layout, reader=reader, channels=channels))
 
     def decode(buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
-        samples, _ = decode_by_layout(buffer, starts, lengths, layout)
+        samples = decode_numbers(buffer, starts, lengths)
         return [_with_one_signal(piece, channels, thresholds) for piece in samples]
 
     return decode

@@ -12,11 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.arrays import Array, Indices, Mask, indices_by_value, items_at, joined_runs
 from idtool.data.logs.payloads.base import PayloadError
 from idtool.data.logs.sample_buffer import Samples
 
 Bytes = NDArray[np.uint8]
+
+_ALL_BITS = 0xFF  # of a byte
+_MIN_GAP = 64  # bytes that are not of the layout, from which on they are passed over
 
 
 @dataclass(frozen=True)
@@ -41,56 +44,99 @@ class Layout:
     fields: Mapping[str, tuple[int | Indices, np.dtype[np.floating]]]
     stamp: Callable[[Bytes], Array]
 
-    def matches(self, messages: Bytes) -> Mask:
-        """True for messages, shape (k, L), with the layout of the first one; shape (k,)."""
-        difference = messages ^ messages[0]
-        difference &= self.mask
-        if not difference.any():  # true of nearly all messages
-            return np.ones(len(messages), dtype=bool)
-        return np.asarray(~difference.any(axis=1))
-
     def samples(self, index: Indices, messages: Bytes) -> Samples:
-        """The samples in messages (k, L), which must be contiguous."""
+        """The samples in messages (k, L)."""
         signals = {signal: self.values(messages, signal) for signal in self.fields}
         return Samples(index, self.stamp(messages), self.joints, signals)
 
     def values(self, messages: Bytes, signal: str) -> NDArray[np.floating]:
-        """A signal in contiguous messages (k, L), shape (k, len(joints)); a view if the values are side by side."""
+        """A signal in messages (k, L), shape (k, len(joints)); a view if the values are side by side."""
         offset, dtype = self.fields[signal]
         if not isinstance(offset, int):
             value_bytes = offset[:, None] + np.arange(dtype.itemsize)
             return np.take(messages, value_bytes, axis=1).view(dtype)[:, :, 0]
-        shape = (len(messages), len(self.joints))
-        return np.ndarray(shape, dtype, messages, offset, strides=(messages.shape[1], dtype.itemsize))
+        end = offset + len(self.joints) * dtype.itemsize
+        return messages[:, offset:end].view(dtype)
 
 
-def decode_by_layout(
-    buffer: bytes, starts: Indices, lengths: Indices, layout_of: Callable[[bytes], Layout | None]
-) -> tuple[list[Samples], list[int]]:
-    """Samples of the messages in a buffer, given their starts and lengths, and indices of messages without a layout.
+class LayoutDecoder:
+    """Decoder of messages; it remembers the layout of the last one, which the next ones mostly have, too.
 
-    Raises
-    ------
-    PayloadError
-        For a message for which ``layout_of`` raises ValueError.
+    Parameters
+    ----------
+    layout_of
+        Function that gives the layout of a message, or None, or raises ValueError.
     """
-    samples = []
-    without_layout = []
-    for length in np.unique(lengths[lengths > 0]).tolist():
-        index = np.flatnonzero(lengths == length)
-        # a message of this length at every offset of the buffer, as a view
-        windows = np.ndarray(len(buffer) - length + 1, f"V{length}", buffer, strides=(1,))
-        messages = windows[starts[index]].view(np.uint8).reshape(-1, length)
-        while len(index):
-            try:
-                layout = layout_of(messages[0].tobytes())
-            except ValueError as error:
-                raise PayloadError(int(index[0]), error) from None
-            if layout is None:
-                without_layout.append(int(index[0]))
-                index, messages = index[1:], messages[1:]
+
+    def __init__(self, layout_of: Callable[[bytes], Layout | None]) -> None:
+        self._layout_of = layout_of
+        self._last: _Template | None = None
+
+    def __call__(self, buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
+        """Samples of the messages in a buffer that have a layout, given their starts and lengths.
+
+        Raises
+        ------
+        PayloadError
+            For a message for which ``layout_of`` raises ValueError.
+        """
+        samples, _ = self.decode(buffer, starts, lengths)
+        return samples
+
+    def decode(self, buffer: bytes, starts: Indices, lengths: Indices) -> tuple[list[Samples], list[int]]:
+        """As when called; and indices of the messages without a layout, ascending."""
+        samples = []
+        without_layout: list[int] = []
+        for length, index in indices_by_value(lengths):
+            if length == 0:
                 continue
-            same = layout.matches(messages)
-            samples.append(layout.samples(index[same], messages if same.all() else messages[same]))
-            index, messages = index[~same], messages[~same]
-    return samples, sorted(without_layout)
+            items = items_at(buffer, starts[index], np.dtype(f"V{length}"))
+            messages = items[:, None].view(np.uint8)
+            while len(index):
+                template, same = self._find_template(index, messages)
+                if template is None:
+                    without_layout.append(int(index[0]))
+                    index, messages = index[1:], messages[1:]
+                    continue
+                samples.append(template.layout.samples(index[same], messages if same.all() else messages[same]))
+                index, messages = index[~same], messages[~same]
+        return samples, sorted(without_layout)
+
+    def _find_template(self, index: Indices, messages: Bytes) -> tuple[_Template | None, Mask]:
+        """A template of some of the messages, which tells their layout, and which ones; None: the first has none."""
+        if self._last is not None:
+            same = self._last.matches(messages)
+            if same.any():
+                return self._last, same
+        try:
+            layout = self._layout_of(messages[0].tobytes())
+        except ValueError as error:
+            raise PayloadError(int(index[0]), error) from None
+        if layout is None:
+            return None, np.zeros(len(messages), dtype=bool)
+        self._last = _Template(messages[0], layout)
+        return self._last, self._last.matches(messages)
+
+
+class _Template:
+    """A message (L,) whose layout is that of all messages with the same bits where it is defined."""
+
+    def __init__(self, message: Bytes, layout: Layout) -> None:
+        self.layout = layout
+        self._bits = message & layout.mask
+        self._parts = [slice(start, stop) for start, stop in joined_runs(layout.mask != 0, _MIN_GAP)]
+
+    def matches(self, messages: Bytes) -> Mask:
+        """True for messages, shape (k, L'), with the layout; shape (k,)."""
+        is_same = np.full(len(messages), messages.shape[1] == len(self._bits))
+        if not is_same.any():
+            return is_same
+        for part in self._parts:
+            mask = self.layout.mask[part]
+            bits = messages[:, part]
+            if not (mask == _ALL_BITS).all():
+                bits = bits & mask
+            is_different = bits != self._bits[part]
+            if is_different.any():  # which is rare
+                is_same &= ~is_different.any(axis=1)
+        return is_same

@@ -36,7 +36,7 @@ from idtool.data.logs.payloads.base import (
     group_states,
 )
 from idtool.data.logs.payloads.field_values import MessageReader, field_decoders
-from idtool.data.logs.payloads.layout import decode_by_layout
+from idtool.data.logs.payloads.layout import LayoutDecoder
 from idtool.data.logs.payloads.message_type import Fields, Kind, MessageType
 from idtool.data.logs.payloads.sensor_shapes import find_sensor
 from idtool.data.logs.payloads.wire import FieldPlan, layout_of
@@ -244,10 +244,11 @@ class _Decoder:
                 self._nanoseconds = _getter(stamp, path, NANOSECONDS)
                 stamp_path = path
                 break
-        self._plan = _field_plan(descriptor, stamp_path)
+        plan = _field_plan(descriptor, stamp_path)
+        self._layout_decoder = LayoutDecoder(partial(layout_of, plan=plan))
 
     def __call__(self, buffer: bytes, starts: Indices, lengths: Indices) -> list[Samples]:
-        samples, others = decode_by_layout(buffer, starts, lengths, partial(layout_of, plan=self._plan))
+        samples, others = self._layout_decoder.decode(buffer, starts, lengths)
         states = [self._state(i, buffer[starts[i] : starts[i] + lengths[i]]) for i in others]
         try:
             other_samples = group_states(states)
