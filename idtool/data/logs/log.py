@@ -17,7 +17,7 @@ from idtool.common.exceptions import LogError
 from idtool.common.names import count_text
 from idtool.common.notice import Notice
 from idtool.common.provenance import InputFile
-from idtool.data.logs.stored_arrays import blocks_of, release_pages
+from idtool.data.logs.stored_arrays import blocks_of, evaluate_blocks, release_pages
 from idtool.data.logs.times import suspected_unit, time_unit_notice
 
 SIGNALS = ("q", "v", "tau", "qcmd", "vcmd")
@@ -219,17 +219,18 @@ def make_log(
 
 def _check_values(t: Array, signals: Mapping[str, Array]) -> tuple[Mask, dict[str, Array]]:
     """True for samples that lack a value, shape (N,); and the signals that at least one joint has."""
-    invalid = ~np.isfinite(t)
-    present = {}
-    for name, array in signals.items():
-        columns = np.flatnonzero(finite_columns(array))
-        if not len(columns):
-            continue
-        present[name] = array
-        for rows in blocks_of([array], len(t)):
-            values = np.ascontiguousarray(array[rows].T)
-            invalid[rows] |= ~np.isfinite(values[columns]).all(axis=0)
-    return invalid, present
+    known_columns = {name: finite_columns(array) for name, array in signals.items()}
+    present = {name: array for name, array in signals.items() if known_columns[name].any()}
+
+    def is_invalid(rows: slice) -> Mask:
+        invalid = ~np.isfinite(t[rows])
+        for name, array in present.items():
+            columns = np.ascontiguousarray(array[rows].T)
+            invalid |= ~np.isfinite(columns[known_columns[name]]).all(axis=0)
+        return invalid
+
+    in_blocks = evaluate_blocks(is_invalid, present.values(), len(t))
+    return np.concatenate([np.zeros(0, dtype=bool), *in_blocks]), present
 
 
 def finite_columns(array: Array) -> Mask:

@@ -10,13 +10,17 @@ import mmap
 import shutil
 import tempfile
 import weakref
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
+from idtool.common.threads import in_threads
+
+Result = TypeVar("Result")
 
 MAX_BYTES = 64 << 20  # of the samples of all logs in memory; further ones are in temporary files
 BLOCK_ROWS = 1 << 14  # rows that are worked on together
@@ -229,6 +233,29 @@ def blocks_of(arrays: Iterable[Array], count: int) -> Iterator[slice]:
     for rows in blocks(count):
         yield rows
         release_pages(released)
+
+
+def evaluate_blocks(evaluate: Callable[[slice], Result], arrays: Iterable[Array], count: int) -> list[Result]:
+    """Results of a function for each of the `blocks` of the rows of arrays, evaluated in threads.
+
+    Parameters
+    ----------
+    evaluate
+        Function of a slice of rows, most of whose time is spent in numpy.
+    arrays
+        What it reads; the pages are released after each block.
+    count
+        Number of rows.
+    """
+    released = list(arrays)
+
+    def evaluate_one(rows: slice) -> Result:
+        result = evaluate(rows)
+        release_pages(released)
+        return result
+
+    work = sum(array.size for array in released)
+    return in_threads(evaluate_one, list(blocks(count)), work)
 
 
 def release_pages(arrays: Iterable[Array]) -> None:

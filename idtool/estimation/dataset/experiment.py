@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from idtool.data.controller import with_unknown_torque, without_constant_torque
 from idtool.data.logs import JointLog, read_log
 from idtool.data.logs.message_options import message_options
 from idtool.data.logs.sensor_channels import is_dead, with_sensors
-from idtool.data.logs.stored_arrays import blocks_of, column_blocks
+from idtool.data.logs.stored_arrays import blocks_of, evaluate_blocks
 from idtool.data.same_recording import distinct_names, is_same_recording, same_recordings
 from idtool.data.signals import BATCH_SAMPLES, Batch, Signals
 from idtool.data.wrench_channels import WrenchChannels
@@ -668,8 +668,7 @@ def _check_signals(log: JointLog, joints: Sequence[str]) -> None:
     for name in joints:
         if not log.has("q", name):
             raise LogError(log.path, f"joint {name} has no position; log it, or leave it out of joints")
-    for signal, values in log.signals.items():
-        peaks = _finite_peaks(values)
+    for signal, peaks in _finite_peaks(log.signals).items():
         for name in joints:
             peak = peaks[log.joints.index(name)]
             if peak > _LARGEST:
@@ -677,20 +676,30 @@ def _check_signals(log: JointLog, joints: Sequence[str]) -> None:
                     log.path, f"{signal} of joint {name} reaches {short_number(peak, 1)}; remove invalid readings"
                 )
     for name, channel in log.channels.items():
-        peak = _finite_peaks(channel.x[:, None])[0]
+        (peak,) = _finite_peaks({name: channel.x[:, None]})[name]
         if peak > _LARGEST:
             raise LogError(
                 log.path, f"channel {printable(name)} reaches {short_number(peak, 1)}; remove invalid readings"
             )
 
 
-def _finite_peaks(x: Array) -> Array:
-    """Greatest finite absolute value of each column of an array, shape (N, k)."""
-    peaks = np.zeros(x.shape[1])
-    for columns in column_blocks(x):
-        sizes = np.abs(columns)
-        sizes[~np.isfinite(sizes)] = 0.0
-        peaks = np.maximum(peaks, sizes.max(axis=1))
+def _finite_peaks(signals: Mapping[str, Array]) -> dict[str, Array]:
+    """Greatest finite absolute value of each column of each signal, shapes (N, k) to (k,); 0 where none is finite."""
+
+    def peaks_of(rows: slice) -> dict[str, Array]:
+        peaks = {}
+        for name, x in signals.items():
+            sizes = np.abs(x[rows].T.copy(order="C"))
+            sizes[~np.isfinite(sizes)] = 0.0
+            peaks[name] = sizes.max(axis=1)
+        return peaks
+
+    count = max((len(x) for x in signals.values()), default=0)
+    in_blocks = evaluate_blocks(peaks_of, signals.values(), count)
+    peaks = {}
+    for name, x in signals.items():
+        of_blocks = [block[name] for block in in_blocks]
+        peaks[name] = np.max(of_blocks, axis=0, initial=0.0) if of_blocks else np.zeros(x.shape[1])
     return peaks
 
 
