@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -23,7 +25,14 @@ from idtool.common.exceptions import LogError
 from idtool.data.logs.log import JointLog, make_log
 from idtool.diagnosis.data_faults import channel_search, find_data_faults
 from idtool.diagnosis.data_faults.channel_fit import ChannelFit
-from idtool.diagnosis.data_faults.channel_mistakes import Evidence, possible_mistakes
+from idtool.diagnosis.data_faults.channel_mistakes import (
+    Evidence,
+    LogScale,
+    Mistake,
+    PossibleMistakes,
+    Suspects,
+    velocity_factor,
+)
 from idtool.diagnosis.data_faults.channel_search import ChannelSearch
 from idtool.diagnosis.data_faults.torque_scale import check_torques
 from idtool.diagnosis.diagnose import Options, diagnose
@@ -424,15 +433,22 @@ def searched(joints: int, coefficients: int) -> ChannelSearch:
     robot = parse_robot(Path("chain.urdf"), urdf.encode())
     fit = SimpleNamespace(equation=SimpleNamespace(coefficients=range(coefficients)), reduced=lambda change: None)
     return ChannelSearch(
-        cast("ChannelFit", fit), tuple(robot.joints.values()), np.zeros((joints, 2)), {}, set(), silent
+        cast("ChannelFit", fit),
+        tuple(robot.joints.values()),
+        np.zeros((joints, 2)),
+        velocity_gains={},
+        computed=set(),
+        log_scale=AS_LOGGED,
+        progress=silent,
     )
 
 
-NO_EVIDENCE = Evidence(set(), set(), {})
+AS_LOGGED = LogScale({})
+NO_EVIDENCE = Evidence({}, set(), {})
 
 
 @pytest.mark.parametrize(
-    ("joints", "coefficients", "single", "pairs", "mistakes"),
+    ("joints", "coefficients", "singles", "pairs", "mistakes"),
     [
         (6, 10_000, 6, 15, 64),
         (7, 10_000, 7, 21, 85),
@@ -443,39 +459,128 @@ NO_EVIDENCE = Evidence(set(), set(), {})
     ],
 )
 def test_mistakes_of_many_joints_are_looked_for_in_few(
-    joints: int, coefficients: int, single: int, pairs: int, mistakes: int
+    joints: int, coefficients: int, singles: int, pairs: int, mistakes: int
 ) -> None:
     """Of up to seven in all; of more in as many as the coefficients leave time for: those that are explained worst."""
     search = searched(joints, coefficients)
     u = np.random.default_rng(0).permutation(joints) / joints
     suspects = search._suspects(u, np.arange(joints), NO_EVIDENCE)
-    assert (len(suspects.single), len(suspects.pairs)) == (single, pairs)
-    assert set(suspects.single) == set(np.argsort(-u)[:single].tolist())
+    assert (len(suspects.singles), len(suspects.pairs)) == (singles, pairs)
+    assert set(suspects.singles) == set(np.argsort(-u)[:singles].tolist())
     paired = {j for pair in suspects.pairs for j in pair}
     assert paired == set(np.argsort(-u)[: len(paired)].tolist())
-    assert len(possible_mistakes(suspects, search.joints, NO_EVIDENCE)) == mistakes
+    assert len(PossibleMistakes(search.joints, NO_EVIDENCE, AS_LOGGED).of(suspects)) == mistakes
 
 
 def test_joints_whose_channels_look_wrong_are_suspected_first() -> None:
-    """However well they are explained, and where nothing is."""
+    """Impossible ones first, however well they are explained; inverted velocities in turn with others."""
     search = searched(60, 900)
+    group = np.arange(60)
     for u in (np.linspace(0, 1, 60), np.full(60, 1e9)):
-        evidence = Evidence({3}, {5}, {})
-        suspects = search._suspects(u, np.arange(60), evidence)
-        assert suspects.single == (3, 5)
-        mistakes = possible_mistakes(suspects, search.joints, evidence)
+        evidence = Evidence({3: -1.0}, {5}, {})
+        suspects = search._suspects(u, group, evidence)
+        assert suspects.singles == (3, 5)
+        mistakes = PossibleMistakes(search.joints, evidence, AS_LOGGED).of(suspects)
         of_position = [mistake.joints for mistake in mistakes if mistake.position is not None]
         assert of_position[:3] == [(5,), tuple(range(60)), (3,)]
-    suspects = search._suspects(np.linspace(0, 1, 60), np.arange(60), Evidence(set(), set(), {7: 1e-3}))
-    assert suspects.single == (7, 59)
+    u = np.linspace(0, 1, 60)
+    assert search._suspects(u, group, Evidence({}, set(), {7: 1e-3})).singles == (7, 59)
+    assert search._suspects(u, group, Evidence({3: -1.0, 4: -1.0, 5: 1.0}, set(), {})).singles == (4, 59)
+
+
+def test_a_mistake_is_found_though_what_is_tried_elsewhere_has_no_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In two joints that share no bodies: with the first one's torque turned, there is no fit."""
+    search = searched(2, 20)
+    search.fit.groups = (np.array([0]), np.array([1]))
+    possible = PossibleMistakes(search.joints, NO_EVIDENCE, AS_LOGGED)
+    candidates = [possible.of(Suspects((j,), (j,), ()))[:1] for j in range(2)]
+
+    def unexplained(mistakes: Sequence[Mistake]) -> Array | None:
+        return None if 0 in {j for mistake in mistakes for j in mistake.joints} else np.array([1.0, 0.01])
+
+    monkeypatch.setattr(search, "_suspected_mistakes", lambda u: candidates)
+    monkeypatch.setattr(search, "_unexplained_without", unexplained)
+    ((joints, mistake),) = search._best_mistakes(np.ones(2))
+    assert joints.tolist() == [1]
+    assert (mistake.kind, mistake.joints) == ("wrong_sign", (1,))
+
+
+@pytest.mark.parametrize(
+    ("gain", "position_factor", "factor"),
+    [
+        (1.01, 1.0, 1.0),
+        (-0.99, 1.0, -1.0),
+        (1.01, -1.0, -1.0),
+        (-0.99, -1.0, 1.0),
+        (57.3, 1.0, 0.01745),
+        (-57.3, -1.0, 0.01745),
+        (0.0174, np.pi / 180, 1.0),
+        (1.01, np.pi / 180, np.pi / 180),
+        (-1.01, np.pi / 180, -np.pi / 180),
+    ],
+)
+def test_what_makes_v_the_derivative_of_q(gain: float, position_factor: float, factor: float) -> None:
+    assert velocity_factor(gain, position_factor) == factor
+
+
+def test_advice_counts_in_the_scale_that_is_set() -> None:
+    scale = LogScale({"tau": {"hip": 1.27}, "q": 2.0, "v": {}})
+    assert scale.advice("hip", {"tau": -1.0}) == "set the `log.scale` of tau to -1.27"
+    assert scale.advice("knee", {"tau": -1.0, "v": -1.0}) == "set the `log.scale` of tau and v to -1"
+    assert scale.advice("knee", {"q": np.pi / 180, "v": 1.0}) == "set the `log.scale` of q to 0.0349066 and of v to 1"
+
+
+OF_SCALES = {
+    name: EVERY[name][0]
+    for name in (
+        "tau turned, two",
+        "q turned",
+        "q and v turned",
+        "joint turned",
+        "v turned, another in degrees",
+        "q and v in degrees",
+        "q in degrees",
+        "one tau in mN·m",
+    )
+} | {
+    "v turned, in degrees": times(-DEGREES, "v", "lift"),
+    "q turned, v in degrees": together(times(-1, "q", "lift"), times(DEGREES, "v", "lift")),
+    "q and tau turned": times(-1, "q tau", "lift"),
+}
+
+
+@pytest.mark.parametrize("name", OF_SCALES)
+def test_who_follows_the_advice_has_no_fault_left(arm: Signals, of_arm: Callable[..., Experiment], name: str) -> None:
+    wrong = changed(arm, OF_SCALES[name])
+    scales: dict[tuple[str, str], float] = {}
+    for fault in find_data_faults(of_arm(wrong), silent):
+        for signals, scale in re.findall(r"of ((?:\w+ and )*\w+) to (-?[\d.]+)", fault.advice.split(", or")[0]):
+            for signal in signals.split(" and "):
+                scales[signal, str(fault.subject)] = float(scale)
+    assert scales
+    for (signal, joint), scale in scales.items():
+        wrong[signal][:, at(joint)] *= scale
+    for signal, level in LEVELS.items():
+        np.testing.assert_allclose(wrong[signal], arm[signal], rtol=2e-3, atol=level)
+    assert named(of_arm(wrong)) == set()
+
+
+def test_alternatives_are_told_whole() -> None:
+    """With their joints, and not cut short."""
+    possible = PossibleMistakes(searched(2, 20).joints, NO_EVIDENCE, AS_LOGGED)
+    one, other, both = possible.of(Suspects((0, 1), (0, 1), ((0, 1),)))[:3]
+    names = ["hip", "knee"]
+    (fault,) = replace(one, others=(other, both)).faults(names, 0.5, 0.01, set())
+    wrong = "tau has the opposite sign of the torque that moves the joint"
+    assert f"from knee: {wrong}; or hip, knee: {wrong})" in fault.message
 
 
 def test_a_search_in_few_of_many_joints_finds_the_mistake(
     of_arm: Callable[..., Experiment], arm: Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If three joints were many, with time for two."""
-    monkeypatch.setattr(channel_search, "_FEW_JOINTS", 2)
-    monkeypatch.setattr(channel_search, "_MOST_WORK", 0.0)
+    monkeypatch.setattr(channel_search, "_FULL_SEARCH_JOINTS", 2)
+    monkeypatch.setattr(channel_search, "_MAX_FIT_WORK", 0.0)
     for name in ("tau turned, middle", "joint turned", "tau exchanged"):
         change, expected = EVERY[name]
         assert named(of_arm(changed(arm, change))) == expected

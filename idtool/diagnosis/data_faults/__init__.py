@@ -35,6 +35,7 @@ from idtool.data.inspection import FAULT_KINDS, Inspection, data_fault, inspect_
 from idtool.data.inspection.channel_findings import MAX_STUCK_SHARE
 from idtool.data.inspection.velocity_findings import MAX_DISAGREEMENT
 from idtool.diagnosis.data_faults.channel_fit import ChannelFit
+from idtool.diagnosis.data_faults.channel_mistakes import LogScale
 from idtool.diagnosis.data_faults.channel_search import ChannelSearch
 from idtool.diagnosis.data_faults.torque_scale import clipped_torque, wrong_torque_unit
 from idtool.estimation.dataset.experiment import Experiment, Progress
@@ -97,8 +98,15 @@ def _model_faults(
     model = experiment.model
     commands = [run.signals.controller for run in experiment.runs]
     computed = {name for j, name in enumerate(model.names) if any(command.joints[j] for command in commands)}
-    limits = _position_ranges(model.names, inspections)
-    search = ChannelSearch(fit, model.joints, limits, _velocity_gains(inspections), computed, progress)
+    search = ChannelSearch(
+        fit,
+        model.joints,
+        _position_ranges(model.names, inspections),
+        _velocity_gains(inspections),
+        computed,
+        LogScale(dict(experiment.config.log.scale)),
+        progress,
+    )
     yield from search.faults()
     yield from wrong_torque_unit(fit, search.position, search.T)
     for j, name in enumerate(model.names):
@@ -111,11 +119,11 @@ def _model_faults(
 
 def _position_ranges(joints: Sequence[str], inspections: Sequence[Inspection]) -> Array:
     """Least and greatest q of each joint, shape (nv, 2)."""
-    limits = []
+    ranges = []
     for name in joints:
         q = [inspection.joints[name].signals["q"] for inspection in inspections]
-        limits.append((min(x.minimum for x in q), max(x.maximum for x in q)))
-    return np.array(limits)
+        ranges.append((min(x.minimum for x in q), max(x.maximum for x in q)))
+    return np.array(ranges)
 
 
 def _velocity_gains(inspections: Sequence[Inspection]) -> dict[str, float]:

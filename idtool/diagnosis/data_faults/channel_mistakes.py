@@ -6,15 +6,18 @@ Each comes with the change of the channels that undoes it. Letters as in `channe
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
+from idtool.common.number_text import short_number
 from idtool.data.inspection import FaultKind
+from idtool.data.inspection.velocity_findings import is_another_unit
 from idtool.data.signals import Motion
 from idtool.diagnosis.data_faults.channel_fit import Change
 from idtool.robot.urdf.reading import UrdfJoint
@@ -28,7 +31,7 @@ class Mistake:
 
     Attributes
     ----------
-    fault
+    kind
         Its kind.
     details
         Message and advice for each joint that it concerns.
@@ -38,15 +41,18 @@ class Mistake:
         Matrix of the corrected torques from the logged ones, shape (nv, nv).
     position
         Correction of the position and its derivatives; None: they are right.
+    position_factors
+        By joint, what its position is multiplied by, if that is the correction.
     others
         Mistakes that the data can't distinguish from it.
     """
 
-    fault: FaultKind
+    kind: FaultKind
     details: tuple[tuple[str, str], ...]
     joints: tuple[int, ...]
     T: Array
     position: Change | None = None
+    position_factors: Mapping[int, float] = field(default_factory=dict)
     others: tuple[Mistake, ...] = ()
 
     def faults(self, names: Sequence[str], before: float, after: float, computed: Set[str]) -> Iterator[Notice]:
@@ -66,113 +72,222 @@ class Mistake:
             "correction, and "
         )
         shares += f"{100 * before:.1f} % without it" if before < 1 else "all of it without"
-        alternatives = [f"{names[other.joints[0]]}: {other.details[0][0]}" for other in self.others]
-        or_else = f"; the data cannot distinguish this fault from {join_names(alternatives)}" if alternatives else ""
+        alternatives = "; or ".join(other.summary(names) for other in self.others)
+        or_else = f"; the data cannot distinguish this fault from {alternatives}" if alternatives else ""
         for joint, (defect, advice) in zip(self.joints, self.details, strict=True):
             if names[joint] in computed:
                 advice = "its tau is computed, so check q, v, qcmd and the gains of the `controller`"
-            yield Notice(self.fault, "problem", names[joint], f"{defect} ({shares}{or_else})", advice)
+            yield Notice(self.kind, "problem", names[joint], f"{defect} ({shares}{or_else})", advice)
+
+    def summary(self, names: Sequence[str]) -> str:
+        """The joints, and what is wrong with them."""
+        messages = [message for message, _ in self.details]
+        if len(set(messages)) == 1:
+            return f"{join_names([names[j] for j in self.joints])}: {messages[0]}"
+        return ", ".join(f"{names[j]}: {message}" for j, message in zip(self.joints, messages, strict=True))
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Joints whose channels look wrong by themselves.
+    """What channels show by themselves, by index of the joint.
 
     Attributes
     ----------
-    inverted
-        Those whose v has the opposite sign of dq/dt.
+    velocity_gains
+        Gain of v over dq/dt, of joints where the two agree otherwise.
     out_of_range
-        Those whose q goes far beyond their limits.
+        Joints whose q goes far beyond their limits.
     torque_factors
-        Those whose torque is about a thousand times that of the URDF's bodies, or a thousandth; and what it would then
+        Of joints whose torque is about a thousand times that of the URDF's bodies, or a thousandth: what it would then
         have to be multiplied by.
     """
 
-    inverted: set[int]
+    velocity_gains: Mapping[int, float]
     out_of_range: set[int]
     torque_factors: Mapping[int, float]
 
     @property
-    def joints(self) -> set[int]:
-        """All of them."""
-        return self.inverted | self.out_of_range | set(self.torque_factors)
+    def inverted(self) -> set[int]:
+        """Joints whose v has the opposite sign of dq/dt."""
+        return {j for j, gain in self.velocity_gains.items() if gain < 0}
 
 
 @dataclass(frozen=True)
 class Suspects:
-    """Joints of a group in which mistakes are looked for, by index.
+    """Joints in which mistakes are looked for, by index.
 
     Attributes
     ----------
-    group
-        All joints of the group.
-    single
+    joints
+        All joints that share bodies, which may have the same mistake.
+    singles
         Joints that may be the only one with a mistake.
     pairs
         Pairs that may both be inverted, or stand under each other's names.
     """
 
-    group: tuple[int, ...]
-    single: tuple[int, ...]
+    joints: tuple[int, ...]
+    singles: tuple[int, ...]
     pairs: tuple[tuple[int, int], ...]
 
     def subsets(self) -> list[tuple[int, ...]]:
         """Joints that may have the same mistake, small subsets first: of few joints, all subsets."""
-        if len(self.group) > _MAX_JOINTS:
-            return [*((j,) for j in self.single), *self.pairs, self.group]
+        if len(self.joints) > _MAX_JOINTS:
+            return [*((j,) for j in self.singles), *self.pairs, self.joints]
         subsets: list[tuple[int, ...]] = []
-        for size in range(1, len(self.group) + 1):
-            subsets += itertools.combinations(self.group, size)
+        for size in range(1, len(self.joints) + 1):
+            subsets += itertools.combinations(self.joints, size)
         return subsets
 
     def among(self, joints: set[int]) -> Suspects:
         """The suspects among some joints."""
         return Suspects(
-            tuple(j for j in self.group if j in joints),
-            tuple(j for j in self.single if j in joints),
+            tuple(j for j in self.joints if j in joints),
+            tuple(j for j in self.singles if j in joints),
             tuple(pair for pair in self.pairs if joints.issuperset(pair)),
         )
 
 
-def possible_mistakes(suspects: Suspects, joints: Sequence[UrdfJoint], evidence: Evidence) -> list[Mistake]:
-    """Mistakes in the channels of joints that share bodies, the more likely ones first.
+@dataclass(frozen=True)
+class LogScale:
+    """Factors of ``log.scale``, by which the channels were multiplied when they were read.
+
+    Attributes
+    ----------
+    factors
+        By signal, for all joints or by joint; 1 where there is none.
+    """
+
+    factors: Mapping[str, Mapping[str, float] | float]
+
+    def advice(self, joint: str, corrections: Mapping[str, float]) -> str:
+        """Advice to multiply channels of a joint by further factors, given by signal."""
+        settings: dict[str, list[str]] = {}  # signals by what their scale is to be set to
+        for signal, correction in corrections.items():
+            scale = short_number(correction * self._factor(signal, joint), 6)
+            settings.setdefault(scale, []).append(signal)
+        return "set the `log.scale` " + " and ".join(f"of {' and '.join(own)} to {x}" for x, own in settings.items())
+
+    def _factor(self, signal: str, joint: str) -> float:
+        factors = self.factors.get(signal, 1.0)
+        return factors.get(joint, 1.0) if isinstance(factors, Mapping) else factors
+
+
+@dataclass(frozen=True)
+class PossibleMistakes:
+    """Mistakes that may have been made in the channels of a robot's joints.
+
+    Attributes
+    ----------
+    joints
+        The nv joints.
+    evidence
+        What the channels show without a model of the bodies.
+    log_scale
+        How the channels were scaled.
+    """
+
+    joints: Sequence[UrdfJoint]
+    evidence: Evidence
+    log_scale: LogScale
+
+    def of(self, suspects: Suspects) -> list[Mistake]:
+        """Mistakes of suspects, the more likely ones first."""
+        names = [joint.name for joint in self.joints]
+        nv = len(names)
+        inverted = [j for j in suspects.singles if j in self.evidence.inverted]
+        not_inverted = [j for j in suspects.singles if j not in self.evidence.inverted]
+        mistakes = [self._position_unit(subset) for subset in self._subsets_of_wrong_unit(suspects)]
+        mistakes += [self._inverted_position(j) for j in inverted]
+        mistakes += [self._inverted_torque(subset) for subset in suspects.subsets()]
+        mistakes += [torque_order(_swap(nv, i, k), names) for i, k in suspects.pairs]
+        mistakes += [self._inverted_position(j) for j in not_inverted]
+        mistakes += [self._inverted_joint(j) for j in suspects.singles]
+        mistakes += [_joint_order(_swap(nv, i, k), names) for i, k in suspects.pairs]
+        if len(suspects.joints) > 1:
+            mistakes += [self._torque_unit(j) for j in suspects.singles if j in self.evidence.torque_factors]
+        return mistakes
+
+    def _subsets_of_wrong_unit(self, suspects: Suspects) -> list[tuple[int, ...]]:
+        """Joints whose positions may be in a wrong unit, larger subsets first: joints mostly have one unit."""
+        possible = suspects.among(self.evidence.out_of_range)
+        subsets = list(reversed(possible.subsets()))
+        if subsets and len(possible.joints) < len(suspects.joints):
+            subsets.insert(1, suspects.joints)
+        return subsets
+
+    def _inverted_torque(self, subset: tuple[int, ...]) -> Mistake:
+        message = "tau has the opposite sign of the torque that moves the joint"
+        details = tuple((message, self._scale_advice(j, {"tau": -1.0})) for j in subset)
+        return Mistake("wrong_sign", details, subset, self._torque_factor(subset, -1.0))
+
+    def _inverted_position(self, j: int) -> Mistake:
+        message = "q has the opposite sign of the motion that tau causes"
+        advice = self._scale_advice(j, self._motion_corrections(j, -1.0))
+        return self._scaled_positions("wrong_sign", [(message, advice)], {j: -1.0}, np.eye(len(self.joints)))
+
+    def _inverted_joint(self, j: int) -> Mistake:
+        corrections = {**self._motion_corrections(j, -1.0), "tau": -1.0}
+        *first, last = corrections
+        message = f"{', '.join(first)} and {last} have the opposite sign of the joint's axis in the URDF"
+        advice = f"{self._scale_advice(j, corrections)}, or reverse the axis"
+        return self._scaled_positions("wrong_sign", [(message, advice)], {j: -1.0}, self._torque_factor((j,), -1.0))
+
+    def _position_unit(self, subset: tuple[int, ...]) -> Mistake:
+        details = []
+        factors = {}
+        for j in subset:
+            unit, factors[j] = ("mm", 1e-3) if self.joints[j].kind == "prismatic" else ("degrees", np.pi / 180)
+            details.append((f"q is in {unit}", self._scale_advice(j, self._motion_corrections(j, factors[j]))))
+        return self._scaled_positions("wrong_unit", details, factors, np.eye(len(self.joints)))
+
+    def _torque_unit(self, j: int) -> Mistake:
+        factor = self.evidence.torque_factors[j]
+        unit = "thousandths" if factor < 1 else "thousands"
+        detail = f"tau is in {unit} of the other joints' unit", self._scale_advice(j, {"tau": factor})
+        return Mistake("wrong_unit", (detail,), (j,), self._torque_factor((j,), factor))
+
+    def _scaled_positions(
+        self, kind: FaultKind, details: Sequence[tuple[str, str]], factors: Mapping[int, float], T: Array
+    ) -> Mistake:
+        """Mistake that is undone by multiplying the positions of some joints by factors, and the torques by T."""
+        return Mistake(kind, tuple(details), tuple(factors), T, _scaling(factors), factors)
+
+    def _torque_factor(self, joints: tuple[int, ...], factor: float) -> Array:
+        """Matrix T that multiplies the torques of some joints by a factor."""
+        T = np.eye(len(self.joints))
+        T[joints, joints] = factor
+        return T
+
+    def _motion_corrections(self, j: int, position_factor: float) -> dict[str, float]:
+        """Factors of q and, if v is wrong with that, of v."""
+        corrections = {"q": position_factor}
+        if j in self.evidence.velocity_gains:
+            factor = velocity_factor(self.evidence.velocity_gains[j], position_factor)
+            if factor != 1:
+                corrections["v"] = factor
+        return corrections
+
+    def _scale_advice(self, j: int, corrections: Mapping[str, float]) -> str:
+        return self.log_scale.advice(self.joints[j].name, corrections)
+
+
+def velocity_factor(gain: float, position_factor: float = 1.0) -> float:
+    """Factor that makes v the derivative of q once q is multiplied by its own; 1 if v is right but for calibration.
 
     Parameters
     ----------
-    suspects
-        The joints that share bodies.
-    joints
-        All joints.
-    evidence
-        What the channels show without a model of the bodies.
+    gain
+        Gain of v over dq/dt, both as logged.
+    position_factor
+        Factor that q is to be multiplied by.
     """
-    names = [joint.name for joint in joints]
-    nv = len(joints)
-    inverted = [j for j in suspects.single if j in evidence.inverted]
-    not_inverted = [j for j in suspects.single if j not in evidence.inverted]
-    with_wrong_unit = _subsets_of_wrong_unit(suspects, evidence.out_of_range)
-    mistakes = [_position_unit(subset, joints) for subset in with_wrong_unit]
-    mistakes += [_inverted_position(j, nv) for j in inverted]
-    mistakes += [_inverted_torque(subset, nv) for subset in suspects.subsets()]
-    mistakes += [torque_order(_swap(nv, i, k), names) for i, k in suspects.pairs]
-    mistakes += [_inverted_position(j, nv) for j in not_inverted]
-    mistakes += [_inverted_joint(j, nv) for j in suspects.single]
-    mistakes += [_joint_order(_swap(nv, i, k), names) for i, k in suspects.pairs]
-    if len(suspects.group) > 1:
-        for j in suspects.single:
-            if j in evidence.torque_factors:
-                mistakes.append(_torque_unit(j, evidence.torque_factors[j], nv))
-    return mistakes
-
-
-def _subsets_of_wrong_unit(suspects: Suspects, out_of_range: set[int]) -> list[tuple[int, ...]]:
-    """Joints whose positions may be in a wrong unit, larger subsets first: joints mostly have one unit."""
-    possible = suspects.among(out_of_range)
-    subsets = list(reversed(possible.subsets()))
-    if subsets and len(possible.group) < len(suspects.group):
-        subsets.insert(1, suspects.group)
-    return subsets
+    factor = position_factor / gain
+    if not is_another_unit(factor):
+        return math.copysign(1.0, factor)
+    if not is_another_unit(gain):
+        return math.copysign(position_factor, factor)
+    return float(f"{factor:.4g}")  # the gain is measured
 
 
 def torque_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
@@ -190,39 +305,6 @@ def torque_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
     return Mistake("wrong_joint_order", details, moved, np.eye(len(names))[list(order)])
 
 
-def _inverted_torque(subset: tuple[int, ...], nv: int) -> Mistake:
-    detail = "tau has the opposite sign of the torque that moves the joint", "set its `log.scale` to -1"
-    return Mistake("wrong_sign", (detail,) * len(subset), subset, _diagonal(subset, -1.0, nv))
-
-
-def _inverted_position(j: int, nv: int) -> Mistake:
-    detail = "q has the opposite sign of the motion that tau causes", "set its `log.scale` to -1"
-    return Mistake("wrong_sign", (detail,), (j,), np.eye(nv), _scaled((j,), -1.0))
-
-
-def _inverted_joint(j: int, nv: int) -> Mistake:
-    detail = (
-        "q, v and tau all have the opposite sign of the joint's axis in the URDF",
-        "set their `log.scale` to -1, or reverse the axis",
-    )
-    return Mistake("wrong_sign", (detail,), (j,), _diagonal((j,), -1.0, nv), _scaled((j,), -1.0))
-
-
-def _position_unit(subset: tuple[int, ...], joints: Sequence[UrdfJoint]) -> Mistake:
-    details, factors = [], []
-    for j in subset:
-        unit, factor = ("mm", 1e-3) if joints[j].kind == "prismatic" else ("degrees", np.pi / 180)
-        details.append((f"q is in {unit}", f"set its `log.scale` to {factor:.6g}"))
-        factors.append(factor)
-    return Mistake("wrong_unit", tuple(details), subset, np.eye(len(joints)), _scaled(subset, np.array(factors)))
-
-
-def _torque_unit(j: int, factor: float, nv: int) -> Mistake:
-    unit = "thousandths" if factor < 1 else "thousands"
-    detail = f"tau is in {unit} of the other joints' unit", f"set its `log.scale` to {factor:g}"
-    return Mistake("wrong_unit", (detail,), (j,), _diagonal((j,), factor, nv))
-
-
 def _joint_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
     rows = list(order)
     torques = torque_order(order, names)
@@ -230,7 +312,7 @@ def _joint_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
     for j in torques.joints:
         details.append((f"its q, v and tau are recorded under {names[order[j]]}", "correct the names"))
 
-    def change(motion: Motion) -> Motion:
+    def exchange(motion: Motion) -> Motion:
         return replace(
             motion,
             q=motion.q[rows],
@@ -239,7 +321,7 @@ def _joint_order(order: Sequence[int], names: Sequence[str]) -> Mistake:
             velocity_deadband=motion.velocity_deadband[rows],
         )
 
-    return replace(torques, details=tuple(details), position=change)
+    return replace(torques, details=tuple(details), position=exchange)
 
 
 def _swap(nv: int, i: int, k: int) -> list[int]:
@@ -248,24 +330,18 @@ def _swap(nv: int, i: int, k: int) -> list[int]:
     return order
 
 
-def _diagonal(joints: tuple[int, ...], factor: float, nv: int) -> Array:
-    T = np.eye(nv)
-    T[joints, joints] = factor
-    return T
+def _scaling(factors: Mapping[int, float]) -> Change:
+    """Change that multiplies the positions of some joints by factors."""
 
-
-def _scaled(joints: tuple[int, ...], factor: float | Array) -> Change:
-    """Change that multiplies the positions of some joints by a factor."""
-
-    def change(motion: Motion) -> Motion:
-        scale = np.ones((len(motion.q), 1))
-        scale[list(joints), 0] = factor
+    def scale(motion: Motion) -> Motion:
+        by_joint = np.ones((len(motion.q), 1))
+        by_joint[list(factors), 0] = list(factors.values())
         return replace(
             motion,
-            q=motion.q * scale,
-            v=motion.v * scale,
-            a=motion.a * scale,
-            velocity_deadband=motion.velocity_deadband * np.abs(scale[:, 0]),
+            q=motion.q * by_joint,
+            v=motion.v * by_joint,
+            a=motion.a * by_joint,
+            velocity_deadband=motion.velocity_deadband * np.abs(by_joint[:, 0]),
         )
 
-    return change
+    return scale

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 
@@ -23,30 +23,36 @@ from idtool.common.number_text import short_number
 from idtool.data.inspection.velocity_findings import is_another_unit
 from idtool.data.signals import Motion
 from idtool.diagnosis.data_faults.channel_fit import MIN_UNEXPLAINED, Change, ChannelFit
-from idtool.diagnosis.data_faults.channel_mistakes import Evidence, Mistake, Suspects, possible_mistakes, torque_order
+from idtool.diagnosis.data_faults.channel_mistakes import (
+    Evidence,
+    LogScale,
+    Mistake,
+    PossibleMistakes,
+    Suspects,
+    torque_order,
+    velocity_factor,
+)
 from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.urdf.reading import UrdfJoint
 
 _SUSPICIOUS = 0.005  # u above which mistakes are looked for
-_MIN_GAIN = 1.5  # reduction of the sum over the joints of log u; without a mistake none of 200 logs had more than 0.5
+_MIN_IMPROVEMENT = 1.5  # decrease of the sum over the joints of log u; without a mistake none of 200 logs had over 0.5
 _MAX_MEAN_RATIO = 0.35  # of the mean of u, after over before
 _MAX_FINAL_MEAN = 0.15  # of u, above which no fault is reported in the end
-_EQUAL_GAIN = 0.7  # difference of two gains below which the preferred mistake is taken
+_EQUAL_IMPROVEMENT = 0.7  # difference of two improvements below which the preferred mistake is taken
 _MAX_ROUNDS = 4
-_FEW_JOINTS = 7  # of a group, in all of which mistakes are looked for, however long it takes
-_FEWEST_SUSPECTS = 2  # joints of a larger group, likewise
-_MISTAKES = 3  # about as many as are looked for in each joint and in each pair of joints
-_MOST_WORK = (
-    3.5e9  # mistakes of a larger group that are undone one by one, times the cube of the number of coefficients
-)
+_FULL_SEARCH_JOINTS = 7  # of a group, in all of which mistakes are looked for, however long it takes
+_MIN_SUSPECTS = 2  # joints of a larger group, likewise
+_FITS_PER_SUSPECT = 3  # about as many as there are mistakes of one joint, and of a pair of joints
+_MAX_FIT_WORK = 3.5e9  # fits of one round for a larger group, times the cube of the number of coefficients
 _MIN_EXCESS = 1.5  # log10 of a torque over the URDF's, from which it may be a thousandfold
-_NO_FIT = 1e9  # u where no fit is found at all
+_U_WITHOUT_FIT = 1e9
 _STAGE = "looking for wrong channels"
-_MIN_ORDER_GAIN = 2.0  # as `_MIN_GAIN`, of another order of the torques, with unconstrained coefficients
+_MIN_ORDER_IMPROVEMENT = 2.0  # as `_MIN_IMPROVEMENT`, of another order of the torques, with unconstrained coefficients
 _FAR_BEYOND = 10.0  # times the URDF's range, that a joint can't cover
 _MAX_TRAVEL = 8 * np.pi  # rad of a joint without limits
 
-GroupMistakes = dict[int | None, Mistake]  # by index of the group; None for a mistake in several groups
+Choice = tuple[Indices, Mistake]  # the joints whose torque it explains, and a mistake to be undone
 
 
 @dataclass
@@ -59,23 +65,30 @@ class ChannelSearch:
         The sample of the logs.
     joints
         The nv joints.
-    limits
-        Least and greatest logged q of each, shape (nv, 2).
-    gains
-        Gain of v over dq/dt by joint, where the two agree.
+    logged_ranges
+        Least and greatest logged q of each, shape (nv, 2) [rad or m].
+    velocity_gains
+        Gain of v over dq/dt by name of the joint, where the two agree.
     computed
         Names of joints whose torque is computed by the controller's law.
+    log_scale
+        How the channels were scaled.
     progress
         Callback for the stage and its progress, from 0 to 1.
     accepted
         Mistakes that were accepted, in turn.
+    T
+        Matrix of the torques from the logged ones, with the accepted mistakes undone, shape (nv, nv).
+    position
+        Correction of the positions, likewise.
     """
 
     fit: ChannelFit
     joints: tuple[UrdfJoint, ...]
-    limits: Array
-    gains: Mapping[str, float]
+    logged_ranges: Array
+    velocity_gains: Mapping[str, float]
     computed: Set[str]
+    log_scale: LogScale
     progress: Progress
     accepted: list[Mistake] = field(default_factory=list)
 
@@ -85,45 +98,37 @@ class ChannelSearch:
         self.position: Change = _as_logged
         self._sample = self.fit.reduced(self.position)
         self._u: Array | None = None  # with the accepted mistakes undone
+        self._reported: list[Mistake] = []
 
     def faults(self) -> Iterator[Notice]:
         """All faults of signs, order and units that the motion shows."""
         self.progress(_STAGE, 0.0)
-        u = self._sample.unexplained(self.T)
-        if u is None and self._out_of_range():  # units may be so wrong that no fit is found
-            u = np.full(len(self.joints), _NO_FIT)
-        self._u = u
-        if u is not None:
-            yield from self._mistake_faults(u)
-            yield from self._position_faults(u)
+        self._u = self._sample.unexplained(self.T)
+        if self._u is None and self._out_of_range():  # units may be so wrong that no fit is found
+            self._u = np.full(len(self.joints), _U_WITHOUT_FIT)
+        if self._u is not None:
+            yield from self._mistake_faults(self._u)
+            yield from self._position_faults(self._u)
         yield from self._velocity_faults()
 
     def _mistake_faults(self, u: Array) -> Iterator[Notice]:
-        """Faults found by undoing one mistake after the other, of groups that are explained in the end."""
-        faults: list[tuple[Indices, Notice]] = []
-        chosen: GroupMistakes = {}
-        order = self._better_torque_order(u)
-        if order is not None and self._reduces_unexplained(u, order):
-            chosen = {None: order}
-        for _ in range(_MAX_ROUNDS):
-            chosen = chosen or self._best_mistakes(u)
-            after = self._unexplained_without(list(chosen.values())) if chosen else None
+        """Faults found by undoing one mistake after the other, of joints that are explained in the end."""
+        undone: list[tuple[Choice, float, float]] = []  # with the joints' mean of u before and after
+        for k in range(_MAX_ROUNDS):
+            choices = self._better_torque_order(u) if k == 0 else []
+            choices = choices or self._best_mistakes(u)
+            mistakes = [mistake for _, mistake in choices]
+            after = self._unexplained_without(mistakes) if mistakes else None
             if after is None:
                 break
-            for g, mistake in chosen.items():
-                group = np.array(mistake.joints) if g is None else self.fit.groups[g]
-                for fault in mistake.faults(self._names, u[group].mean(), after[group].mean(), self.computed):
-                    faults.append((group, fault))
-            self._accept(list(chosen.values()))
-            u = self._u = after
-            chosen = {}
-        for group, fault in faults:
-            if u[group].mean() < _MAX_FINAL_MEAN:
-                yield fault
-
-    def _reduces_unexplained(self, u: Array, mistake: Mistake) -> bool:
-        after = self._unexplained_without([mistake])
-        return after is not None and _gain(u, after, np.arange(len(u))) > _MIN_GAIN
+            undone += [((joints, mistake), u[joints].mean(), after[joints].mean()) for joints, mistake in choices]
+            self._accept(mistakes)
+            u = after
+        self._u = u
+        for (joints, mistake), before, after_mean in undone:
+            if u[joints].mean() < _MAX_FINAL_MEAN:
+                self._reported.append(mistake)
+                yield from mistake.faults(self._names, before, after_mean, self.computed)
 
     def _accept(self, mistakes: list[Mistake]) -> None:
         self.T, self.position = self._with_undone(mistakes)
@@ -148,102 +153,110 @@ class ChannelSearch:
             return None
         return sample.unexplained(T)
 
-    def _best_mistakes(self, u: Array) -> GroupMistakes:
-        """The mistake that is best undone next, by group, together with equally good ones."""
+    def _best_mistakes(self, u: Array) -> list[Choice]:
+        """The mistake of each group that is best undone next, together with equally good ones."""
         candidates = self._suspected_mistakes(u)
-        gains: list[list[float]] = [[] for _ in candidates]
+        improvements: list[list[float]] = [[] for _ in candidates]
         steps = list(zip_longest(*candidates))  # the k-th mistake of all groups at once
         for k, step in enumerate(steps):
             self.progress(_STAGE, k / len(steps))
-            after = self._unexplained_without([mistake for mistake in step if mistake])
-            for g, mistake in enumerate(step):
-                if mistake:
-                    gains[g].append(-np.inf if after is None else _gain(u, after, self.fit.groups[g]))
+            tried = {g: mistake for g, mistake in enumerate(step) if mistake is not None}
+            for g, after in self._unexplained_without_each(tried).items():
+                improvements[g].append(-np.inf if after is None else _improvement(u, after, self.fit.groups[g]))
 
-        best: GroupMistakes = {}
-        for g, own_gains in enumerate(gains):
-            if not own_gains or max(own_gains) <= _MIN_GAIN:
-                continue
-            limit = max(own_gains) - _EQUAL_GAIN
-            first, *others = (mistake for mistake, x in zip(candidates[g], own_gains, strict=True) if x > limit)
-            best[g] = replace(first, others=tuple(others))
+        best: list[Choice] = []
+        for group, mistakes, of_group in zip(self.fit.groups, candidates, improvements, strict=True):
+            if max(of_group, default=-np.inf) > _MIN_IMPROVEMENT:
+                least = max(max(of_group) - _EQUAL_IMPROVEMENT, _MIN_IMPROVEMENT)
+                first, *others = (mistake for mistake, x in zip(mistakes, of_group, strict=True) if x >= least)
+                best.append((group, replace(first, others=tuple(others))))
         return best
+
+    def _unexplained_without_each(self, mistakes: Mapping[int, Mistake]) -> dict[int, Array | None]:
+        """Shares u with the mistake of each group undone, by group: of all at once, since groups share no bodies."""
+        together = self._unexplained_without(list(mistakes.values()))
+        if together is not None or len(mistakes) == 1:
+            return dict.fromkeys(mistakes, together)
+        return {g: self._unexplained_without([mistake]) for g, mistake in mistakes.items()}
 
     def _suspected_mistakes(self, u: Array) -> list[list[Mistake]]:
         """Mistakes that may have been made, by group."""
         evidence = self._evidence()
+        possible = PossibleMistakes(self.joints, evidence, self.log_scale)
         unusable = {j for j in evidence.out_of_range if self._names[j] in self.computed}
         by_group = []
         for group in self.fit.groups:
             mistakes: list[Mistake] = []
             if max(u[group]) > _SUSPICIOUS:
-                mistakes = possible_mistakes(self._suspects(u, group, evidence), self.joints, evidence)
-            if max(u) == _NO_FIT:
-                mistakes = [mistake for mistake in mistakes if mistake.fault == "wrong_unit"]
+                mistakes = possible.of(self._suspects(u, group, evidence))
+            if max(u) == _U_WITHOUT_FIT:
+                mistakes = [mistake for mistake in mistakes if mistake.kind == "wrong_unit"]
             if unusable.intersection(group.tolist()):
                 mistakes = []  # the torque is computed from impossible positions and shows nothing
             by_group.append([mistake for mistake in mistakes if self._may_explain(u, mistake, group)])
         return by_group
 
     def _evidence(self) -> Evidence:
-        """What the channels show by themselves."""
-        inverted = {j for j, joint in enumerate(self.joints) if self.gains.get(joint.name, 1.0) < 0}
+        """What the channels show by themselves, with the accepted mistakes undone."""
+        velocity_gains = {}
+        for j, name in enumerate(self._names):
+            if name in self.velocity_gains:
+                velocity_gains[j] = self.velocity_gains[name] / self._position_factor(j, self.accepted)
         torque_factors = {}
         for j, excess in enumerate(self.fit.excess.tolist()):
-            if abs(excess) > _MIN_EXCESS:
+            if abs(excess) > _MIN_EXCESS and j not in self._with_wrong_unit():
                 torque_factors[j] = 1e-3 if excess > 0 else 1e3
-        return Evidence(inverted, self._out_of_range(), torque_factors)
+        return Evidence(velocity_gains, self._out_of_range(), torque_factors)
 
     def _suspects(self, u: Array, group: Indices, evidence: Evidence) -> Suspects:
-        """Joints of a group in which mistakes are looked for: of many, those with evidence and those explained worst.
+        """Joints of a group in which mistakes are looked for: of many, the most suspicious ones.
 
         For each mistake, all bodies are fitted once more, which takes about as long as the cube of the number of their
         coefficients.
         """
-        has_evidence = np.isin(group, list(evidence.joints))
-        order = np.lexsort([-u[group], ~has_evidence])  # by the last key first
-        most_suspicious_first = group[order].tolist()
-        singles = exchanged = len(group)
-        if len(group) > _FEW_JOINTS:
-            most_fits = int(_MOST_WORK / len(self.fit.equation.coefficients) ** 3)
-            most_suspects = max(most_fits // _MISTAKES, _FEWEST_SUSPECTS)  # single joints and pairs
-            singles = min(most_suspects, len(group))
-            most_pairs = max(most_suspects - singles, 1)
-            exchanged = (1 + math.isqrt(1 + 8 * most_pairs)) // 2  # n joints make n (n − 1) / 2 pairs
+        most_suspicious_first = _most_suspicious_first(u, group, evidence)
+        single_count = paired_count = len(group)
+        if len(group) > _FULL_SEARCH_JOINTS:
+            max_fits = int(_MAX_FIT_WORK / len(self.fit.equation.coefficients) ** 3)
+            max_suspects = max(max_fits // _FITS_PER_SUSPECT, _MIN_SUSPECTS)  # single joints and pairs
+            single_count = min(max_suspects, len(group))
+            max_pairs = max(max_suspects - single_count, 1)
+            paired_count = (1 + math.isqrt(1 + 8 * max_pairs)) // 2  # n joints make n (n − 1) / 2 pairs
         return Suspects(
             tuple(group.tolist()),
-            tuple(sorted(most_suspicious_first[:singles])),
-            tuple(itertools.combinations(sorted(most_suspicious_first[:exchanged]), 2)),
+            tuple(sorted(most_suspicious_first[:single_count])),
+            tuple(itertools.combinations(sorted(most_suspicious_first[:paired_count]), 2)),
         )
 
     def _may_explain(self, u: Array, mistake: Mistake, group: Indices) -> bool:
-        """False if even unconstrained coefficients gain too little from undoing a mistake of the torques alone."""
-        return mistake.position is not None or self._largest_gain(u, mistake, group) > _MIN_GAIN
-
-    def _largest_gain(self, u: Array, mistake: Mistake, group: Indices) -> float:
-        """Bound on the gain from undoing a mistake of the torques alone."""
+        """False if undoing a mistake of the torques alone improves too little even with unconstrained coefficients."""
+        if mistake.position is not None:
+            return True
         least = np.maximum(self._sample.free(mistake.T @ self.T), MIN_UNEXPLAINED)
-        return float(np.log(u[group] / least[group]).sum())
+        return float(np.log(u[group] / least[group]).sum()) > _MIN_IMPROVEMENT
 
-    def _better_torque_order(self, u: Array) -> Mistake | None:
-        """Another order of the torques that fits the joints' own equations far better."""
-        if max(u) < _SUSPICIOUS or max(u) == _NO_FIT or len(u) < 2:
-            return None
+    def _better_torque_order(self, u: Array) -> list[Choice]:
+        """Another order of the torques of all joints that explains them far better; empty if there is none."""
+        if max(u) < _SUSPICIOUS or max(u) == _U_WITHOUT_FIT or len(u) < 2:
+            return []
         from scipy.optimize import linear_sum_assignment
 
         cost = np.log(np.maximum(self._sample.exchanged, MIN_UNEXPLAINED))
         _, order = linear_sum_assignment(cost)
-        if np.trace(cost) - cost[np.arange(len(u)), order].sum() < _MIN_ORDER_GAIN:
-            return None
-        return torque_order([int(k) for k in order], self._names)
+        if np.trace(cost) - cost[np.arange(len(u)), order].sum() < _MIN_ORDER_IMPROVEMENT:
+            return []
+        mistake = torque_order([int(k) for k in order], self._names)
+        after = self._unexplained_without([mistake])
+        if after is None or _improvement(u, after, np.arange(len(u))) <= _MIN_IMPROVEMENT:
+            return []
+        return [(np.array(mistake.joints), mistake)]
 
     def _out_of_range(self) -> set[int]:
         """Joints whose q lies beyond their limits by more than their range, or covers many turns."""
         out_of_range = set()
-        for j, (joint, (low, high)) in enumerate(zip(self.joints, self.limits, strict=True)):
-            limit_range = joint.upper - joint.lower
-            if 0 < limit_range < np.inf:
-                is_beyond = max(high - joint.upper, joint.lower - low) > limit_range
+        for j, (joint, (low, high)) in enumerate(zip(self.joints, self.logged_ranges, strict=True)):
+            if _has_limits(joint):
+                is_beyond = max(high - joint.upper, joint.lower - low) > joint.upper - joint.lower
             else:
                 is_beyond = joint.kind != "prismatic" and high - low > _MAX_TRAVEL
             if is_beyond:
@@ -252,42 +265,62 @@ class ChannelSearch:
 
     def _with_wrong_unit(self) -> set[int]:
         """Joints whose wrong unit is among the accepted mistakes."""
-        return {j for mistake in self.accepted if mistake.fault == "wrong_unit" for j in mistake.joints}
+        return {j for mistake in self.accepted if mistake.kind == "wrong_unit" for j in mistake.joints}
+
+    def _position_factor(self, j: int, mistakes: Sequence[Mistake]) -> float:
+        """What the position of a joint is multiplied by if mistakes are undone."""
+        return math.prod(mistake.position_factors.get(j, 1.0) for mistake in mistakes)
 
     def _position_faults(self, u: Array) -> Iterator[Notice]:
         """Impossible positions that the torque does not show, or that it is computed from."""
         known = self._with_wrong_unit()
         out_of_range = self._out_of_range()
-        for j, (joint, (low, high)) in enumerate(zip(self.joints, self.limits, strict=True)):
-            limit_range = joint.upper - joint.lower
+        for j, (joint, (low, high)) in enumerate(zip(self.joints, self.logged_ranges, strict=True)):
             spoils_torque = j in out_of_range and joint.name in self.computed and u[j] > _MAX_FINAL_MEAN
-            is_far = 0 < limit_range < np.inf and high - low > max(_FAR_BEYOND * limit_range, np.pi)
+            farthest = max(_FAR_BEYOND * (joint.upper - joint.lower), np.pi)
+            is_far = _has_limits(joint) and high - low > farthest
             if j not in known and (is_far or spoils_torque):
-                in_urdf = f"in the URDF from {short_number(joint.lower)} to {short_number(joint.upper)}"
-                message = (
-                    f"q ranges from {short_number(low)} to {short_number(high)}, but {in_urdf}; it may be in "
-                    "degrees, mm or counts"
-                )
+                message = f"q ranges from {short_number(low)} to {short_number(high)}"
+                if _has_limits(joint):
+                    message += f", but in the URDF from {short_number(joint.lower)} to {short_number(joint.upper)}"
+                message += "; it may be in degrees, mm or counts"
                 yield Notice("wrong_unit", "problem", joint.name, message, "set its `log.scale`")
 
     def _velocity_faults(self) -> Iterator[Notice]:
-        """Velocities with another sign or unit than their positions, unless the positions are wrong."""
-        corrected = {(mistake.fault, j) for mistake in self.accepted if mistake.position for j in mistake.joints}
+        """Velocities with another sign or unit than their positions, unless they were corrected together."""
+        corrected = {(mistake.kind, j) for mistake in self._reported for j in mistake.position_factors}
         for j, joint in enumerate(self.joints):
-            gain = self.gains.get(joint.name, 1.0)
-            if gain < 0 and ("wrong_sign", j) not in corrected:
+            gain = self.velocity_gains.get(joint.name, 1.0)
+            factor = velocity_factor(gain, self._position_factor(j, self._reported))
+            advice = self.log_scale.advice(joint.name, {"v": factor})
+            if factor < 0 and ("wrong_sign", j) not in corrected:
                 message = f"v is {short_number(gain)} times the derivative of q"
                 if self._u is not None and self._u[j] < _MAX_FINAL_MEAN:
                     message += ", and q agrees with tau"
-                yield Notice("wrong_sign", "problem", joint.name, message, "set the `log.scale` of v to -1")
-            if is_another_unit(gain) and ("wrong_unit", j) not in corrected:
-                ratio = f"the magnitude of v is {short_number(abs(gain))} times that of the derivative of q"
-                advice = f"set the `log.scale` of v to {short_number(1 / gain, 4)}"
-                yield Notice("wrong_unit", "problem", joint.name, ratio, advice)
+                yield Notice("wrong_sign", "problem", joint.name, message, advice)
+            if is_another_unit(factor) and ("wrong_unit", j) not in corrected:
+                message = f"the magnitude of v is {short_number(abs(gain))} times that of the derivative of q"
+                yield Notice("wrong_unit", "problem", joint.name, message, advice)
 
 
-def _gain(before: Array, after: Array, group: Indices) -> float:
-    """Reduction of the sum of log u over some joints; −inf if their mean is not reduced enough."""
+def _has_limits(joint: UrdfJoint) -> bool:
+    return 0 < joint.upper - joint.lower < np.inf
+
+
+def _most_suspicious_first(u: Array, group: Indices, evidence: Evidence) -> list[int]:
+    """Joints of a group: those whose q or tau is impossible, then in turn one whose v is inverted and one of the worst.
+
+    An inverted v mostly says nothing about q and tau, so it must not keep others from being looked at.
+    """
+    worst_first = group[np.argsort(-u[group], kind="stable")].tolist()
+    impossible = [j for j in worst_first if j in evidence.out_of_range or j in evidence.torque_factors]
+    inverted = [j for j in worst_first if j in evidence.inverted]
+    in_turn = itertools.chain.from_iterable(zip_longest(inverted, worst_first))
+    return list(dict.fromkeys([*impossible, *(j for j in in_turn if j is not None)]))
+
+
+def _improvement(before: Array, after: Array, group: Indices) -> float:
+    """Decrease of the sum of log u over some joints; −inf if their mean does not decrease enough."""
     if after[group].mean() > _MAX_MEAN_RATIO * before[group].mean():
         return -np.inf
     return float(np.log(before[group] / after[group]).sum())
