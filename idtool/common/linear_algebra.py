@@ -12,7 +12,7 @@ from scipy.linalg import lapack
 from idtool.common.arrays import Array, Indices
 
 _TRIANGLE_BLOCK = 32  # columns that tpqrt eliminates together
-_MOST_ROWS = 4  # for each column, above which rows are replaced by their triangular factor
+_MAX_ROWS_PER_COLUMN = 4  # above which rows are replaced by their triangular factor
 _RANK = 1e-9  # ratio to the largest singular value, up to which one counts as 0
 
 
@@ -34,8 +34,8 @@ def svd(matrix: ArrayLike) -> tuple[Array, Array, Array]:
     return _svd(np.asarray(matrix, dtype=np.float64), full=False)
 
 
-def right_singular_vectors(matrix: ArrayLike) -> tuple[Array, Array]:
-    """Singular values of any finite matrix, and all its right singular vectors, those of its null space included.
+def right_svd(matrix: ArrayLike) -> tuple[Array, Array]:
+    """Singular values and right singular vectors of any finite matrix, those of its null space included.
 
     Parameters
     ----------
@@ -85,8 +85,8 @@ def least_squares(matrix: Array, right: Array, rcond: float) -> tuple[Array, int
         return np.asarray(robust_solution), int(robust_rank)
 
 
-def add_to_triangle(R: Array, rows: Array) -> None:
-    """Change a triangular factor to that of further rows as well.
+def append_rows(R: Array, rows: Array) -> None:
+    """Update the triangular factor R of a QR decomposition by further rows, in place: RᵀR becomes RᵀR + rowsᵀ rows.
 
     It takes a third of the operations of a QR decomposition of all rows if the further ones are a triangle too, and
     even less if their first columns are zero: LAPACK's tpqrt, as in Golub & Van Loan, Matrix Computations, 6.5.
@@ -94,7 +94,7 @@ def add_to_triangle(R: Array, rows: Array) -> None:
     Parameters
     ----------
     R
-        Upper triangle, shape (m, m); changed in place.
+        Upper triangle, shape (m, m).
     rows
         Shape (k, m). It is fastest if both are in the order of Fortran.
     """
@@ -109,8 +109,8 @@ def add_to_triangle(R: Array, rows: Array) -> None:
     R[first:, first:] = lapack.dtpqrt(count if is_triangle else 0, block, R[first:, first:], further)[0]
 
 
-def rows_or_triangle(parts: Sequence[tuple[Array, Indices]], width: int) -> Array:
-    """Rows of several matrices under each other, or the triangular factor of all rows if these are many.
+def compressed_rows(parts: Sequence[tuple[Array, Indices]], width: int) -> Array:
+    """Rows of several matrices, stacked; if they are many, their triangular QR factor, which has the same RᵀR.
 
     Many: more than four times as many as columns.
 
@@ -132,11 +132,11 @@ def rows_or_triangle(parts: Sequence[tuple[Array, Indices]], width: int) -> Arra
         expanded[:, columns] = rows
         return expanded
 
-    if sum(len(rows) for rows, _ in parts) <= _MOST_ROWS * width:
+    if sum(len(rows) for rows, _ in parts) <= _MAX_ROWS_PER_COLUMN * width:
         return np.concatenate([np.zeros((0, width)), *(on_all_columns(*part) for part in parts)])
     R = np.zeros((width, width), order="F")
     for part in reversed(parts):
-        add_to_triangle(R, on_all_columns(*part))
+        append_rows(R, on_all_columns(*part))
     return np.ascontiguousarray(R)
 
 
@@ -157,7 +157,7 @@ def null_space(matrix: ArrayLike) -> Array:
     matrix = np.asarray(matrix, dtype=np.float64)
     is_involved = matrix.any(axis=0)
     involved = matrix[:, is_involved]
-    s, Vt = right_singular_vectors(involved)
+    s, Vt = right_svd(involved)
     rank = int(np.count_nonzero(s > _RANK * s.max(initial=0.0)))
     rest = Vt[rank:].T
     free_count = int(np.count_nonzero(~is_involved))

@@ -42,8 +42,11 @@ class Sample:
         found: list[Path] = []
         for pattern in self.patterns:
             found += folder.glob(pattern)
-        files = sorted(path for path in found if path.is_file())  # in a checkout, folders of results may be beside them
-        return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+        content = {}
+        for path in sorted(found):
+            if path.is_file():  # in a checkout, folders of results may be beside the files
+                content[path.relative_to(folder).as_posix()] = path.read_bytes()
+        return content
 
     def command(self, folder: Path) -> str:
         """The first command, for files in a folder."""

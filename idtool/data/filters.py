@@ -84,7 +84,7 @@ class LowPass:
         return _convolve(_padded(x, *padding), self._taps)[..., outputs] / weight[outputs]
 
     def _weight_at_ends(self, length: int, before: int, after: int) -> Array:
-        """Weight of the kernel on samples of a batch, not on zeros before and after it, at each output; shape (n,)."""
+        """Share of the kernel's weight on a batch, not on the zeros around it, at each output; shape (n,)."""
         key = length, before, after
         if key not in self._end_weights:
             self._end_weights[key] = _convolve(_padded(np.ones(length), before, after), self._taps)

@@ -10,17 +10,17 @@ fixed scale, least squares returns the zero solution. The scale is fixed by the 
 1. A joint of the set whose torque was logged, or a gain that is given.
 2. Known values that fix at least one base parameter, for example mass and centre of mass of one link. Known masses
    alone do not: a link's mass enters the torques only in a sum with the first moment of the link before it.
-3. The prior, with inertial parameters b0, known masses inserted; b are the fitted ones. Y_b b0 and Y_b b are their
-   torques along the logs, each joint's divided by the standard deviation of its residual. The projection of Y_b b onto
-   Y_b b0 must equal Y_b b0, which is one linear equation in b:
+3. The prior, with inertial parameters b0, known masses inserted; b are the fitted ones. Y_b b0 and Y_b b are the
+   torques that both give at all samples. Each joint's torque is divided by the standard deviation of its residual. The
+   projection of Y_b b onto Y_b b0 must equal Y_b b0, which is one linear equation in b:
 
        (Y_b b0) · (Y_b b) = |Y_b b0|²
 
    If all masses of the prior are x % wrong, so are the gains.
 
-The dependent variable is the position error, E = qcmd − q, since the residual is mostly the noise of the position,
-times kp. As a regressor, E would bias kp towards zero by its noise (errors in variables). The bias is large where the
-coupling to other joints hardly determines the scale of kp.
+The residual is mostly the noise of the position times kp. The position error E = qcmd − q is therefore the dependent
+variable. If it were a regressor, its noise would bias kp towards zero (errors in variables). The bias would be large
+where the coupling to other joints hardly determines the scale of kp.
 
 The estimate is the maximum-likelihood one of theta, gains and delay for Gaussian residuals of E. Gauss-Newton
 iterations compute it from each joint's R-factor. Torque at a delay between the stored ones is interpolated with

@@ -23,7 +23,7 @@ import numpy as np
 
 from idtool.common.arrays import Array, Indices
 from idtool.common.exceptions import ConfigError
-from idtool.common.linear_algebra import right_singular_vectors
+from idtool.common.linear_algebra import right_svd
 from idtool.common.names import suggestion
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
@@ -205,7 +205,7 @@ def expected_standard_errors(W: Array, base: BaseParameters) -> StandardErrors:
     """
     norms = np.linalg.norm(W, axis=0)
     norms[norms == 0] = 1.0
-    s, Vt = right_singular_vectors(np.linalg.qr(W / norms, mode="r"))
+    s, Vt = right_svd(np.linalg.qr(W / norms, mode="r"))
     rank = int(np.count_nonzero(s > _RANK * s[0])) if len(s) else 0
     root = Vt[:rank].T / s[:rank] / norms[:, None]  # C = root rootᵀ
     is_undetermined = np.square(Vt[rank:]).sum(axis=0) > _RANK

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from idtool.common.linear_algebra import (
-    add_to_triangle,
+    append_rows,
+    compressed_rows,
     least_squares,
     null_space,
-    right_singular_vectors,
-    rows_or_triangle,
+    right_svd,
     svd,
 )
 
@@ -34,7 +34,7 @@ def test_a_decomposition_is_one(
     np.testing.assert_allclose((U * s) @ Vt, matrix, rtol=0, atol=1e-12)
     assert (np.diff(s) <= 0).all()
 
-    values, V = right_singular_vectors(matrix)
+    values, V = right_svd(matrix)
     np.testing.assert_allclose(values, s, atol=1e-12)
     np.testing.assert_allclose(V @ V.T, np.eye(m), atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(matrix @ V.T, axis=0), np.pad(s, (0, m - len(s))), atol=1e-12)
@@ -60,7 +60,7 @@ def test_a_tall_matrix_takes_memory_in_proportion_to_its_size(rng: np.random.Gen
     """Such as the rows of a humanoid with contacts, of which each has all coefficients."""
     matrix = rng.normal(size=(20_000, 20))
     tracemalloc.start()
-    right_singular_vectors(matrix)
+    right_svd(matrix)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 10 * matrix.nbytes
@@ -95,7 +95,7 @@ def test_a_triangle_takes_up_further_rows(rng: np.random.Generator, zeros: int, 
         rows[:, zeros:] = np.triu(rows[:, zeros:])
     gram = R.T @ R + rows.T @ rows
     before = rows.copy()
-    add_to_triangle(R, rows)
+    append_rows(R, rows)
     np.testing.assert_allclose(R.T @ R, gram, atol=1e-12)
     np.testing.assert_array_equal(R, np.triu(R))
     np.testing.assert_array_equal(rows, before)
@@ -104,8 +104,8 @@ def test_a_triangle_takes_up_further_rows(rng: np.random.Generator, zeros: int, 
 def test_rows_of_zeros_leave_a_triangle_as_it_is(rng: np.random.Generator) -> None:
     R = np.triu(rng.normal(size=(5, 5)))
     before = R.copy()
-    add_to_triangle(R, np.zeros((3, 5)))
-    add_to_triangle(R, np.zeros((0, 5)))
+    append_rows(R, np.zeros((3, 5)))
+    append_rows(R, np.zeros((0, 5)))
     np.testing.assert_array_equal(R, before)
 
 
@@ -114,7 +114,7 @@ def test_many_rows_give_a_triangle(rng: np.random.Generator, counts: tuple[int, 
     """Its Gram matrix is the sum of theirs; few rows stay as they are. Columns may be shared, and in any order."""
     columns = [np.array([8, 0, 3]), np.array([3, 4, 5, 8]), np.array([1, 8])]
     parts = [(rng.normal(size=(count, len(own))), own) for count, own in zip(counts, columns, strict=False)]
-    found = rows_or_triangle(parts, 9)
+    found = compressed_rows(parts, 9)
     assert found.shape == (rows, 9)
     gram = np.zeros((9, 9))
     for part, own in parts:

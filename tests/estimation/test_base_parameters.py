@@ -219,7 +219,7 @@ def test_little_memory_gives_the_same(
     robot = robot_of(rooted(table_urdf(PANDA, rng)))
     monkeypatch.setattr(module, "_SAMPLES", (40, 1500))
     monkeypatch.setattr(module, "_BYTES", 0)
-    monkeypatch.setattr(linear_algebra, "_MOST_ROWS", 1)
+    monkeypatch.setattr(linear_algebra, "_MAX_ROWS_PER_COLUMN", 1)
     assert len(check(robot, rng)) == 43
 
 

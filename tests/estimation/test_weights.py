@@ -32,7 +32,7 @@ def test_their_products_are_those_of_all_samples(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, samples: int, most: int
 ) -> None:
     """Whether they are merged into a triangle or not, of factors with fewer rows than columns and of triangles."""
-    monkeypatch.setattr(linear_algebra, "_MOST_ROWS", most)
+    monkeypatch.setattr(linear_algebra, "_MAX_ROWS_PER_COLUMN", most)
     chain = Chain(7)
     noise = rng.uniform(0.5, 2.0, 7)
     p = len(chain.coefficients)

@@ -22,7 +22,7 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.forces import BaseMotionFunction, Forces, InputTorqueFunction
 from idtool.dynamics.simulation.integrators import linearly_implicit, runge_kutta
 from idtool.dynamics.simulation.rollout_state import RolloutState, interpolate, solve_acceleration
-from idtool.dynamics.simulation.stiction import resolve_stiction, transition_times
+from idtool.dynamics.simulation.stiction import resolve_stiction, transition_fractions
 
 StepCallback = Callable[[Indices, RolloutState, RolloutState], None]  # rollouts, start and end of a step of theirs
 
@@ -195,11 +195,11 @@ class Rollouts:
             step = self._cut_at_breakpoints(start, end, step)
         if not self._forces.any_dry_friction:
             return end
-        share = transition_times(start, end, step)
-        first = share.min(axis=0)
+        fraction = transition_fractions(start, end, step)
+        first = fraction.min(axis=0)
         self._event_count[start.rollout_ids] += first < 1
         first[self._event_count[start.rollout_ids] > _MAX_EVENTS] = 1.0
-        stops = (share <= first) & (share < 2) & (start.s != 0)
+        stops = (fraction <= first) & np.isfinite(fraction) & (start.s != 0)
         cut = np.flatnonzero(first < 1)
         if cut.size:
             start_cut = start.select(cut)

@@ -19,49 +19,52 @@ _TOLERANCE = 1e-8  # relative: friction this near its level no longer holds
 
 
 def resolve_stiction(state: RolloutState) -> RolloutState:
-    """State in which friction holds the joints at rest that it can, and the others start against their friction.
+    """State in which every joint at rest either sticks or slips.
 
-    One joint per rollout at a time: the one that takes the most friction beyond its level is released, one that then
-    starts with its friction is held again.
+    A joint sticks if the friction that holds it is within its level; otherwise it slips, and friction opposes its
+    acceleration. One joint per rollout changes at a time: the one farthest beyond its level is released, then one whose
+    acceleration is along its friction is held again. After many changes, the last state is taken.
     """
-    resting = state.sticking | (state.v == 0) & (state.s != 0)
+    at_rest = state.sticking
     rollouts = np.arange(len(state.t))
-    for _ in range(2 * len(resting) + 2):
+    for _ in range(2 * len(at_rest) + 2):
         excess = np.where(state.sticking, -state.friction_margin - _TOLERANCE * state.friction_level, 0.0)
-        against = np.where(resting & ~state.sticking, -state.a * state.s, 0.0)
+        along_friction = np.where(at_rest & ~state.sticking, -state.a * state.s, 0.0)
         released = excess.max(axis=0) > 0
-        stopped = (against.max(axis=0) > 0) & ~released
-        if not (released.any() or stopped.any()):
+        held_again = (along_friction.max(axis=0) > 0) & ~released
+        if not (released.any() or held_again.any()):
             break
         s = state.s.copy()
         sticking = state.sticking.copy()
-        loosest = excess.argmax(axis=0)
-        direction = np.sign(state.holding_force[loosest, rollouts])
-        s[loosest[released], rollouts[released]] = direction[released]
-        sticking[loosest[released], rollouts[released]] = False
-        wrong = against.argmax(axis=0)
-        s[wrong[stopped], rollouts[stopped]] = 0.0
-        sticking[wrong[stopped], rollouts[stopped]] = True
+        most_loaded = excess.argmax(axis=0)
+        direction = np.sign(state.holding_force[most_loaded, rollouts])
+        s[most_loaded[released], rollouts[released]] = direction[released]
+        sticking[most_loaded[released], rollouts[released]] = False
+        most_along = along_friction.argmax(axis=0)
+        s[most_along[held_again], rollouts[held_again]] = 0.0
+        sticking[most_along[held_again], rollouts[held_again]] = True
         a = solve_acceleration(state.M, state.force - s * state.friction_level, sticking)
         state = replace(state, s=s, sticking=sticking, a=a)
     return state
 
 
-def transition_times(start: RolloutState, end: RolloutState, h: Array) -> Array:
-    """Share of a step at which each joint stops or slips; 2 where it does neither. Shape (n, W)."""
-    share = np.full(start.v.shape, 2.0)
+def transition_fractions(start: RolloutState, end: RolloutState, h: Array) -> Array:
+    """Fraction of a step after which each joint stops or slips; infinite where it does neither. Shape (n, W)."""
+    fraction = np.full(start.v.shape, np.inf)
     stops = (start.s != 0) & (end.v * start.s <= 0)
     if stops.any():
         length = h[np.nonzero(stops)[1]]
         v0, v1 = start.v[stops], end.v[stops]
         a0, a1 = length * start.a[stops], length * end.a[stops]
-        share[stops] = first_crossing(lambda x: cubic_hermite(x, v0, v1, a0, a1), start.s[stops])
+        fraction[stops] = first_crossing(lambda x: cubic_hermite(x, v0, v1, a0, a1), start.s[stops])
     if start.sticking.any():
         before, after = start.friction_margin, end.friction_margin
-        threshold = 2 * _TOLERANCE * start.friction_level
+        threshold = 2 * _TOLERANCE * start.friction_level  # twice, so that `resolve_stiction` releases the joint
         slips = start.sticking & (after < -threshold) & (before > -threshold)
-        share[slips] = (before + threshold)[slips] / (before[slips] - after[slips])
-    return share
+        distance = before[slips] + threshold[slips]
+        change = before[slips] - after[slips]
+        fraction[slips] = distance / change  # as if the margin changed linearly
+    return fraction
 
 
 def first_crossing(curve: Callable[[Array], Array], sign: Array) -> Array:

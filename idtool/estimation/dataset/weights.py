@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array
-from idtool.common.linear_algebra import least_squares, rows_or_triangle
+from idtool.common.linear_algebra import compressed_rows, least_squares
 from idtool.common.units import STANDARD_GRAVITY
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
@@ -34,7 +34,7 @@ def weighted_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Arr
     parts = []
     for factor, columns, sigma in zip(reduction, model.active(), noise.tolist(), strict=True):
         parts.append((factor.R / (sigma * np.sqrt(samples)), np.append(columns, p)))
-    return rows_or_triangle(parts, p + 1)
+    return compressed_rows(parts, p + 1)
 
 
 def _noise_floor(factor: Factor) -> float:

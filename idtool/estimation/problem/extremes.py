@@ -3,17 +3,18 @@
 The least c · x for every objective c, among all x with X_i(x) ⪰ 0, E S x = e and f(x) ≤ level, is approached from
 inside, along a central path (Nesterov & Nemirovskii 1994; Boyd & Vandenberghe, Convex Optimization, chapter 11):
 
-    x(tau) = argmin of tau c · x + phi(x),  phi(x) = −w log(level − f(x)) − Σ log det X_i(x).
+    x(kappa) = argmin of kappa c · x + phi(x),  phi(x) = −w log(level − f(x)) − Σ log det X_i(x).
 
-The level has a weight w that grows with the rows of the inequalities: with 1, their barrier would outweigh it, paths
-would run close to the level, and steps be short. All paths begin at the centre, where phi is least. They are followed
-together: each step of Newton's method is taken for all objectives at once.
+The weight w grows with the number of rows of the inequalities. With w = 1, their barrier would outweigh that of the
+level: paths would run close to the level, and steps would be short. All paths begin at the centre, where phi is least.
+They are followed together: each step of Newton's method is taken for all objectives at once.
 
-Near the end of a path, c · x(tau) is about the least value + a / tau with a constant a, so d(c · x)/dtau is −a / tau².
-On the path, this derivative is −c · H⁻¹ c. Hence the gap a / tau is about tau c · H⁻¹ c, which is subtracted.
+Near the end of a path, c · x(kappa) is about the least value + a / kappa with a constant a, so its derivative with
+respect to kappa is −a / kappa². On the path, this derivative is −c · H⁻¹ c. Hence the gap a / kappa is about
+kappa c · H⁻¹ c, which is subtracted.
 
-Letters: D objectives c; m variables x; H (D, m, m) Hessian of phi; tau the inverse of mu in `barrier`; A, S, E, e, f as
-in `problem`, X_i as in `barrier`.
+Letters: D objectives c; m variables x; H (D, m, m) Hessian of phi; kappa the inverse of mu in `barrier`; A, S, E, e, f
+as in `problem`, X_i as in `barrier`.
 """
 
 from __future__ import annotations
@@ -24,27 +25,29 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from idtool.common.arrays import Array, Mask
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.exceptions import SolverError
 from idtool.common.linear_algebra import null_space
 from idtool.estimation.problem.barrier import Barrier
 from idtool.estimation.problem.inequality_groups import InequalityGroup, inequality_groups, log_det_groups
 from idtool.estimation.problem.problem import Problem
 
-_ACCURACY = 1e-3  # greatest gap at the end, relative to the way from the centre; its estimate is then subtracted
+_ACCURACY = 1e-3  # greatest gap at the end, relative to the decrease from the centre; most of it is then subtracted
 # Greatest squared Newton decrement (Boyd & Vandenberghe, section 9.5) at which …
 _CENTER_DECREMENT = 1e-3  # … a point counts as the centre
-_GROWTH_DECREMENT = 0.3  # … tau is increased
+_GROWTH_DECREMENT = 0.3  # … kappa is increased
 _FINAL_DECREMENT = 0.1  # … a path may end
-_FIRST_TAU = 10.0  # times 1 / √(c · H⁻¹ c) at the centre
-_TAU_FACTOR = 10.0
+_FIRST_KAPPA = 10.0  # times 1 / √(c · H⁻¹ c) at the centre
+_KAPPA_FACTOR = 10.0
 _ROWS_PER_WEIGHT = 8  # w is the number of rows of all X_i divided by this, and at least 1
-_MOST_STEPS = 100
+_MAX_NEWTON_STEPS = 100
 _BOUNDARY_FRACTION = 0.7  # greatest step relative to one to the boundary: near it, many would be needed to get away
-_MOST_HALVINGS = 40
-_MOST_SEARCH_STEPS = 25
+_MAX_HALVINGS = 40
+_MAX_SEARCH_STEPS = 25
 _SEARCH_ACCURACY = 1e-2  # of a step's length
-_CONSTANT = 1e-9  # relative norm in the space that exact constraints leave, below which an objective is constant
+_CONSTANT_OBJECTIVE = (
+    1e-9  # relative norm in the space that exact constraints leave, below which an objective is constant
+)
 _BATCH_ENTRIES = 2**20  # of the Hessians of objectives that are followed together
 
 
@@ -63,7 +66,7 @@ class LevelSet:
     Raises
     ------
     SolverError
-        If it has no interior.
+        If the level is not above the optimum's cost, or no interior or no centre is found.
     """
 
     def __init__(self, problem: Problem, start: Array, level: float) -> None:
@@ -82,7 +85,7 @@ class LevelSet:
         self._weight = max(sum(group.rows for group in self._groups) / _ROWS_PER_WEIGHT, 1.0)
         try:
             self._center = self._find_center(self._strictly_inside(problem, start, level))
-        except np.linalg.LinAlgError:  # rounding has left nothing
+        except np.linalg.LinAlgError:  # a Hessian is singular to rounding
             raise SolverError("solver", "could not find the middle of what the data allow") from None
 
     @property
@@ -93,7 +96,7 @@ class LevelSet:
     def least(self, objectives: Array, sufficient: Array) -> Array:
         """Least values of objective · z over the level set, z = S x.
 
-        Estimates with an error of about 1e-4 of the way from the centre, of either sign. Where a path falls below
+        Estimates with an error of about 1e-4 of the decrease from the centre, of either sign. Where a path falls below
         ``sufficient``, it is left early: its estimate is then only known to be below this.
 
         Parameters
@@ -109,52 +112,59 @@ class LevelSet:
         """
         try:
             return self._least(objectives, sufficient)
-        except np.linalg.LinAlgError:  # so near the boundary that rounding has left nothing: of one of the paths
+        except np.linalg.LinAlgError:  # one path is too near the boundary for Cholesky; halves find out which
             if len(objectives) == 1:
                 return np.array([np.nan])
             halves = [slice(len(objectives) // 2), slice(len(objectives) // 2, None)]
             return np.concatenate([self.least(objectives[half], sufficient[half]) for half in halves])
 
     def _least(self, objectives: Array, sufficient: Array) -> Array:
-        """As in `least`."""
+        """Minima as in `least`, all paths followed together; LinAlgError if one comes too near the boundary."""
         c = objectives @ self._S
         values = np.asarray(c @ self._center)
         projected_c = c if self._null_basis is None else c @ self._null_basis
-        varies = np.linalg.norm(projected_c, axis=1) > _CONSTANT * np.linalg.norm(c, axis=1)
+        varies = np.linalg.norm(projected_c, axis=1) > _CONSTANT_OBJECTIVE * np.linalg.norm(c, axis=1)
         if not varies.any():
             return values
-        paths = np.flatnonzero(varies)
-        values[paths] = np.nan
+        values[varies] = np.nan
 
-        c = c[paths]
-        x = np.tile(self._center, (len(paths), 1))
-        _, H = self._derivatives(x[:1])
-        H_inverse_c = self._solve(H, c.T[None])[0].T  # all paths begin with the same H
-        tau = _FIRST_TAU / np.sqrt(_dot(c, H_inverse_c))
-        for _ in range(_MOST_STEPS):
-            gradient, H = self._derivatives(x)
-            directions = -self._solve(H, np.stack([gradient, c], axis=-1))
+        paths = self._first_points(np.flatnonzero(varies), c[varies])
+        for _ in range(_MAX_NEWTON_STEPS):
+            gradient, H = self._derivatives(paths.x)
+            directions = -self._solve(H, np.stack([gradient, paths.c], axis=-1))
             centering, descent = directions[..., 0], directions[..., 1]
-            step = centering + tau[:, None] * descent
-            squared_decrement = -_dot(step, gradient + tau[:, None] * c)
+            step = centering + paths.kappa[:, None] * descent
+            squared_decrement = -_dot(step, gradient + paths.kappa[:, None] * paths.c)
 
-            value = _dot(c, x)
-            gap = -tau * _dot(c, descent)
-            way = c @ self._center - value
-            is_near_end = gap <= _ACCURACY * way
+            value = _dot(paths.c, paths.x)
+            gap = -paths.kappa * _dot(paths.c, descent)
+            decrease = paths.c @ self._center - value
+            is_near_end = gap <= _ACCURACY * decrease
             is_converged = is_near_end & (squared_decrement < _FINAL_DECREMENT)
-            has_arrived = is_converged | (value < sufficient[paths])
-            values[paths[has_arrived]] = value[has_arrived] - gap[has_arrived]
+            has_arrived = is_converged | (value < sufficient[paths.indices])
+            values[paths.indices[has_arrived]] = value[has_arrived] - gap[has_arrived]
             if has_arrived.all():
                 break
 
             grows = ~is_near_end & (squared_decrement < _GROWTH_DECREMENT)
-            tau = np.where(grows, _TAU_FACTOR * tau, tau)
-            step = centering + tau[:, None] * descent
+            kappa = np.where(grows, _KAPPA_FACTOR * paths.kappa, paths.kappa)
+            step = centering + kappa[:, None] * descent
             goes_on = ~has_arrived
-            paths, c, x, tau, step = paths[goes_on], c[goes_on], x[goes_on], tau[goes_on], step[goes_on]
-            x = x + self._step_length(x, step, tau * _dot(c, step))[:, None] * step
+            paths = paths._replace(kappa=kappa).select(goes_on)
+            paths = self._moved(paths, step[goes_on])
         return values
+
+    def _first_points(self, indices: Indices, c: Array) -> _Paths:
+        """Points at the centre, with kappa so small that the first step is about one unit of the Hessian's norm."""
+        x = np.tile(self._center, (len(c), 1))
+        _, H = self._derivatives(x[:1])
+        H_inverse_c = self._solve(H, c.T[None])[0].T  # all paths begin with the same H
+        return _Paths(indices, c, x, _FIRST_KAPPA / np.sqrt(_dot(c, H_inverse_c)))
+
+    def _moved(self, paths: _Paths, step: Array) -> _Paths:
+        """The paths' points after a step each, or the part of it that minimises what it is to decrease."""
+        length = self._step_length(paths.x, step, paths.kappa * _dot(paths.c, step))
+        return paths._replace(x=paths.x + length[:, None] * step)
 
     def _strictly_inside(self, problem: Problem, start: Array, level: float) -> Array:
         """A point strictly inside, with a cost below the level.
@@ -166,7 +176,7 @@ class LevelSet:
         if not room > 0:
             raise SolverError("solver", "the level is not above the least cost")
         interior = Barrier(problem, self._quadratic_hessian, 2 * self._AS.T @ self._b, gap=room).x
-        for _ in range(_MOST_HALVINGS):
+        for _ in range(_MAX_HALVINGS):
             if problem.cost(problem.S @ interior) < level - room / 2:
                 return interior
             interior = (interior + start) / 2
@@ -175,7 +185,7 @@ class LevelSet:
     def _find_center(self, x: Array) -> Array:
         """The point at which phi is least, from one strictly inside."""
         x = x[None]
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_NEWTON_STEPS):
             gradient, H = self._derivatives(x)
             step = -self._solve(H, gradient[..., None])[..., 0]
             if -_dot(step, gradient)[0] < _CENTER_DECREMENT:
@@ -206,12 +216,13 @@ class LevelSet:
             cost = cost - group.log_det(x)
         return np.asarray(self._reduced_level - cost)
 
-    def _solve(self, H: Array, right: Array) -> Array:
-        """Solutions of H y = right in the space that exact constraints leave, shape (D, m, k). H may be overwritten."""
+    def _solve(self, H: Array, rhs: Array) -> Array:
+        """Solutions of H y = rhs in the space that exact constraints leave, shape (D, m, k). H may be overwritten."""
         if self._null_basis is not None:
-            H, right = self._null_basis.T @ H @ self._null_basis, self._null_basis.T @ right
-        y = np.empty(right.shape)
-        for i, (matrix, columns) in enumerate(zip(H, right, strict=True)):
+            H = self._null_basis.T @ H @ self._null_basis
+            rhs = self._null_basis.T @ rhs
+        y = np.empty(rhs.shape)
+        for i, (matrix, columns) in enumerate(zip(H, rhs, strict=True)):
             # By Cholesky's factors; a symmetric matrix in C order is its transpose in Fortran's, and is not copied.
             _, y[i], info = lapack.dposv(matrix.T, columns, overwrite_a=True)
             if info:
@@ -228,7 +239,7 @@ class LevelSet:
         low, high = np.zeros(len(x)), boundary
         t = np.minimum(1.0, high / 2)
         is_found = np.zeros(len(x), dtype=bool)
-        for _ in range(_MOST_SEARCH_STEPS):
+        for _ in range(_MAX_SEARCH_STEPS):
             is_inside, first, second = line.derivatives(t)
             is_before = is_inside & (first < 0)
             low, high = np.where(is_before, t, low), np.where(is_before, high, t)
@@ -245,19 +256,46 @@ class LevelSet:
         """The function of t that `_step_length` minimises."""
         residual = x @ self._AS.T - self._b
         change = step @ self._AS.T
-        none = np.zeros((len(x), 0))
+        # concatenate needs at least one array
+        no_rates = np.zeros((len(x), 0))
+        rates = [group.rates(x, step) for group in self._groups]
         log_det_rates = [group.rates(x, step) for group in self._log_dets]
         weights = [np.full(group.rows, group.weight) for group in self._log_dets]
         return _Line(
             objective_slope=objective_slope,
-            rates=np.concatenate([none, *(group.rates(x, step) for group in self._groups)], axis=1),
-            log_det_rates=np.concatenate([none, *log_det_rates], axis=1),
-            log_det_weights=np.concatenate([none[0], *weights]),
+            rates=np.concatenate([no_rates, *rates], axis=1),
+            log_det_rates=np.concatenate([no_rates, *log_det_rates], axis=1),
+            log_det_weights=np.concatenate([np.zeros(0), *weights]),
             weight=self._weight,
             slack=self._slack(x, residual),
             cost_slope=2 * _dot(residual, change) + step @ self._linear_cost,
             cost_curvature=2 * _dot(change, change),
         )
+
+
+class _Paths(NamedTuple):
+    """Points on paths that are followed together.
+
+    Attributes
+    ----------
+    indices
+        Of their objectives, shape (D,).
+    c
+        Objectives, shape (D, m).
+    x
+        Points, shape (D, m).
+    kappa
+        Weights of the objectives, shape (D,).
+    """
+
+    indices: Indices
+    c: Array
+    x: Array
+    kappa: Array
+
+    def select(self, chosen: Mask) -> _Paths:
+        """Some of the paths."""
+        return _Paths(self.indices[chosen], self.c[chosen], self.x[chosen], self.kappa[chosen])
 
 
 class _Line(NamedTuple):
@@ -268,7 +306,7 @@ class _Line(NamedTuple):
     Attributes
     ----------
     objective_slope
-        Derivative of tau c · x, shape (D,).
+        Derivative of kappa c · x, shape (D,).
     rates
         Of all inequalities, shape (D, R).
     log_det_rates, log_det_weights

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
-from idtool.common.linear_algebra import rows_or_triangle
+from idtool.common.linear_algebra import compressed_rows
 from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
@@ -112,7 +112,7 @@ def structural_base_parameters(
     for columns, block in zip(active, equation.columns(random_motion(model, samples)), strict=True):
         R = np.asarray(np.linalg.qr(block[:-1].T, mode="r"))
         factors.append((R, columns))
-    Y = rows_or_triangle(factors, p)
+    Y = compressed_rows(factors, p)
     order = np.argsort(equalities.free < PI_SIZE * len(model.bodies), kind="stable")  # friction bears its own name
     base = base_parameters(without_rounding(Y, equation, _RANK) @ equalities.K, order)
     B = np.zeros((len(base), p))

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from idtool.common.arrays import Array, Mask
-from idtool.common.linear_algebra import null_space, right_singular_vectors
+from idtool.common.linear_algebra import null_space, right_svd
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
@@ -187,7 +187,7 @@ def observable_directions(
 
     exact = np.array([constraint.row @ equalities.K / size for constraint in equalities.hard]).reshape(-1, len(size))
     N = null_space(exact)
-    s, Vt = right_singular_vectors(W / size @ N)
+    s, Vt = right_svd(W / size @ N)
     rank = int(np.count_nonzero(s > _RANK * s[0])) if len(s) else 0
 
     directions = equalities.K @ (Vt @ N.T / size).T
