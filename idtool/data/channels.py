@@ -21,6 +21,7 @@ from idtool.data.velocity_agreement import velocity_agreement
 MAX_ANALYZED_SAMPLES = 1 << 16  # samples from which the clock and the velocities are checked
 _MAX_JITTER = 0.01  # rms of the stamps' jitter, in samples, above which the signals are put on an even clock
 _SPEED_REACH = 10  # samples to either side that tell the speed at which a sample was taken
+_SPECTRA = 10  # of each signal, about as many as `velocity_agreement` computes
 _MIN_AGREEMENT = 0.8  # share of a measured velocity's power that dq/dt must explain
 _MAX_GAIN_ERROR = 0.1  # by which a measured velocity may be larger or smaller than dq/dt
 _MIN_TRAVEL = 0.01  # rad or m of travel below which noise may hide the motion
@@ -182,7 +183,7 @@ class Channels:
         part = self.longest_stretch(self.stretches())
         q, v = self.signal("q", part), self.signal("v", part)
         pairs = list(zip(q, v, strict=True))
-        agreements = in_threads(lambda pair: velocity_agreement(*pair, self.log.dt), pairs, q.size)
+        agreements = in_threads(lambda pair: velocity_agreement(*pair, self.log.dt), pairs, _SPECTRA * q.size)
         lag, gain, agreement, error = np.array(agreements).T
         follows = (agreement > _MIN_AGREEMENT) & (np.abs(gain - 1) < _MAX_GAIN_ERROR)
         max_error = np.maximum(_MAX_LAG_ERROR * self.log.dt, _MAX_LAG_ERROR * np.abs(lag))
