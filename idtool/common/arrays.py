@@ -33,7 +33,9 @@ def indices_by_value(x: Indices) -> list[tuple[int, Indices]]:
     """Each value in an array of integers, ascending, with the indices of its entries, ascending."""
     if len(x) and (x == x[0]).all():  # much faster than looking for different ones
         return [(int(x[0]), np.arange(len(x)))]
-    return [(value, np.flatnonzero(x == value)) for value in np.unique(x).tolist()]
+    order = np.argsort(x, kind="stable")
+    values, starts = np.unique(x[order], return_index=True)
+    return list(zip(values.tolist(), np.split(order, starts[1:]), strict=True)) if len(x) else []
 
 
 def dilated(mask: Mask, reach: int) -> Mask:

@@ -110,7 +110,7 @@ def append_rows(R: Array, rows: Array) -> None:
 
 
 def compressed_rows(parts: Sequence[tuple[Array, Indices]], width: int) -> Array:
-    """Rows of several matrices, stacked; if they are many, their triangular QR factor, which has the same RᵀR.
+    """Rows of several matrices, stacked; if they are many, their triangular QR factor, which has the same Gram matrix.
 
     Many: more than four times as many as columns.
 

@@ -527,7 +527,9 @@ def test_advice_counts_in_the_scale_that_is_set() -> None:
     scale = LogScale({"tau": {"hip": 1.27}, "q": 2.0, "v": {}})
     assert scale.advice("hip", {"tau": -1.0}) == "set the `log.scale` of tau to -1.27"
     assert scale.advice("knee", {"tau": -1.0, "v": -1.0}) == "set the `log.scale` of tau and v to -1"
-    assert scale.advice("knee", {"q": np.pi / 180, "v": 1.0}) == "set the `log.scale` of q to 0.0349066 and of v to 1"
+    assert scale.advice("knee", {"tau": -1.0, "v": -1.0, "qcmd": -1.0}).endswith("of tau, v and qcmd to -1")
+    of_all = "set the `log.scale` of v to -1 and of q to 0.0349066 for knee and 2 for the other joints"
+    assert scale.advice("knee", {"v": -1.0, "q": np.pi / 180}) == of_all
 
 
 OF_SCALES = {
@@ -554,8 +556,8 @@ def test_who_follows_the_advice_has_no_fault_left(arm: Signals, of_arm: Callable
     wrong = changed(arm, OF_SCALES[name])
     scales: dict[tuple[str, str], float] = {}
     for fault in find_data_faults(of_arm(wrong), silent):
-        for signals, scale in re.findall(r"of ((?:\w+ and )*\w+) to (-?[\d.]+)", fault.advice.split(", or")[0]):
-            for signal in signals.split(" and "):
+        for signals, scale in re.findall(r"of ([\w, ]+?) to (-?[\d.]+)", fault.advice):
+            for signal in re.split(", | and ", signals):
                 scales[signal, str(fault.subject)] = float(scale)
     assert scales
     for (signal, joint), scale in scales.items():
@@ -563,6 +565,31 @@ def test_who_follows_the_advice_has_no_fault_left(arm: Signals, of_arm: Callable
     for signal, level in LEVELS.items():
         np.testing.assert_allclose(wrong[signal], arm[signal], rtol=2e-3, atol=level)
     assert named(of_arm(wrong)) == set()
+
+
+def advice_for(experiment: Experiment) -> str:
+    return " | ".join(fault.advice for fault in find_data_faults(experiment, silent))
+
+
+def test_of_a_velocity_that_does_not_follow_the_position_no_sign_is_advised(
+    arm: Signals, of_arm: Callable[..., Experiment]
+) -> None:
+    """A joint is turned, and its velocity disturbed: its sign cannot be told."""
+
+    def disturb(s: Signals) -> None:
+        s["v"][:, at("lift")] += 0.5 * np.std(s["v"][:, at("lift")]) * np.sin(2 * np.pi * 1.3 * s["t"])[:, None]
+
+    advice = advice_for(of_arm(changed(arm, together(times(-1, "q v tau", "lift"), disturb))))
+    assert "of q and tau to -1; then compare v, which may be wrong in the same way, with the derivative of q" in advice
+
+
+def test_a_velocity_is_not_to_be_scaled_to_positions_that_are_impossible(
+    arm: Signals, of_arm: Callable[..., Experiment]
+) -> None:
+    """The position is in degrees and turned, which the search does not find; the velocity is right."""
+    advice = advice_for(of_arm(changed(arm, times(-DEGREES, "q", "lift"))))
+    assert "correct q, then run the diagnosis again" in advice
+    assert "57.3" not in advice
 
 
 def test_alternatives_are_told_whole() -> None:

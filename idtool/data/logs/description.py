@@ -123,7 +123,10 @@ def _texts(path: Path, file: Path, records: McapRecords, topics: _TopicTypes) ->
 
 def _messages(batch: RecordBatch, channels: Sequence[int]) -> Iterator[tuple[int, bytes]]:
     """The messages of some channels, each with the channel's id."""
-    for channel, messages in batch.channels.items():
-        if channel in channels:
-            for start, length in zip(messages.starts.tolist(), messages.lengths.tolist(), strict=True):
-                yield channel, batch.buffer[start : start + length]
+    found: list[tuple[int, int, int]] = []  # start, length, channel
+    for channel in batch.channels.keys() & set(channels):
+        messages = batch.channels[channel]
+        for start, length in zip(messages.starts.tolist(), messages.lengths.tolist(), strict=True):
+            found.append((start, length, channel))
+    for start, length, channel in sorted(found):
+        yield channel, batch.buffer[start : start + length]

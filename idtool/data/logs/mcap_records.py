@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -35,6 +35,7 @@ _PAGE = 1 << 16  # bytes read at a time, from the end
 _MIN_ZEROS = 1024  # at the end of a file that count as padding
 _LOOSE_BYTES = 1 << 20  # of records outside chunks in one buffer
 _LOOK_AHEAD_BYTES = 8 << 20  # of chunks that are decompressed while the ones before are decoded
+_BYTES_PER_OFFSET = 3  # of records for each byte that the offsets of the shortest messages take
 _FIRST_RUN = 16  # messages that are first looked at for one length
 
 RECORD = struct.Struct("<BQ")
@@ -92,13 +93,24 @@ class RecordBatch:
         The bytes of the records.
     definitions
         Offsets of the schemas and channels.
-    channels
-        The messages of each channel, by its id, ascending.
+    messages
+        Offsets of the messages, ascending, shape (k,).
     """
 
     buffer: bytes
     definitions: list[int]
-    channels: Mapping[int, ChannelMessages]
+    messages: Indices
+
+    @cached_property
+    def channels(self) -> Mapping[int, ChannelMessages]:
+        """The messages of each channel, by its id, ascending."""
+        heads = items_at(self.buffer, self.messages, HEAD)
+        channels = {}
+        for channel, index in indices_by_value(heads["channel"]):
+            starts = self.messages[index] + HEAD.itemsize
+            lengths = heads["length"][index].astype(np.intp) - MESSAGE_FIELDS
+            channels[channel] = ChannelMessages(index, starts, lengths, heads["log_time"][index])
+        return channels
 
 
 @dataclass(frozen=True)
@@ -157,7 +169,8 @@ class McapRecords:
     def _batches_of_buffers(self) -> Iterator[Job[list[RecordBatch]]]:
         """The batches of one buffer after the other, still to be made."""
         for job in self._buffers():
-            yield Job(job.size, partial(self._batches, job.evaluate))
+            offset_bytes = job.size // _BYTES_PER_OFFSET
+            yield Job(job.size + offset_bytes, partial(self._batches, job.evaluate))
 
     def _batches(self, read_buffer: Callable[[], _Buffer]) -> list[RecordBatch]:
         """The records of a buffer."""
@@ -183,7 +196,7 @@ class McapRecords:
                 messages.extend(range(offset, next_offset, stride))
                 last_length = length
                 if len(messages) == _BATCH:
-                    batches.append(RecordBatch(buffer, definitions, _channels(buffer, messages)))
+                    batches.append(RecordBatch(buffer, definitions, np.array(messages)))
                     definitions, messages = [], []
             elif opcode in (SCHEMA, CHANNEL):
                 definitions.append(offset)
@@ -191,7 +204,7 @@ class McapRecords:
         if records.is_complete and offset != len(buffer):
             raise self._damage_error(records.start)
         if definitions or messages:
-            batches.append(RecordBatch(buffer, definitions, _channels(buffer, messages)))
+            batches.append(RecordBatch(buffer, definitions, np.array(messages, dtype=np.intp)))
         return batches
 
     def _buffers(self) -> Iterator[Job[_Buffer]]:
@@ -282,18 +295,6 @@ def _loose_records(start: int, records: bytearray) -> Job[_Buffer]:
     """Records outside chunks."""
     data = bytes(records)
     return Job(len(data), partial(_Buffer, start, data))
-
-
-def _channels(buffer: bytes, messages: Sequence[int]) -> dict[int, ChannelMessages]:
-    """The messages at some offsets, ascending, by the id of their channel."""
-    offsets = np.array(messages, dtype=np.intp)
-    heads = items_at(buffer, offsets, HEAD)
-    channels = {}
-    for channel, index in indices_by_value(heads["channel"]):
-        starts = offsets[index] + HEAD.itemsize
-        lengths = heads["length"][index].astype(np.intp) - MESSAGE_FIELDS
-        channels[channel] = ChannelMessages(index, starts, lengths, heads["log_time"][index])
-    return channels
 
 
 def _messages_of_length(buffer: bytes, offset: int, length: int, most: int) -> int:

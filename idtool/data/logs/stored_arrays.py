@@ -18,6 +18,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
+from idtool.common.processes import process_count
 from idtool.common.threads import in_threads
 
 Result = TypeVar("Result")
@@ -221,10 +222,10 @@ def column_blocks(array: Array) -> Iterator[Array]:
         yield array[rows].T.copy(order="C")
 
 
-def blocks(count: int) -> Iterator[slice]:
-    """Slices of rows that are worked on together, of ``count`` rows in all."""
-    for start in range(0, count, BLOCK_ROWS):
-        yield slice(start, min(start + BLOCK_ROWS, count))
+def blocks(count: int, most: int = BLOCK_ROWS) -> Iterator[slice]:
+    """Slices of at most so many rows that are worked on together, of ``count`` rows in all."""
+    for start in range(0, count, most):
+        yield slice(start, min(start + most, count))
 
 
 def blocks_of(arrays: Iterable[Array], count: int) -> Iterator[slice]:
@@ -236,7 +237,9 @@ def blocks_of(arrays: Iterable[Array], count: int) -> Iterator[slice]:
 
 
 def evaluate_blocks(evaluate: Callable[[slice], Result], arrays: Iterable[Array], count: int) -> list[Result]:
-    """Results of a function for each of the `blocks` of the rows of arrays, evaluated in threads.
+    """Results of a function for blocks of the rows of arrays, evaluated in threads.
+
+    The blocks of all threads together have `BLOCK_ROWS` rows, so that more threads do not take more memory.
 
     Parameters
     ----------
@@ -255,7 +258,7 @@ def evaluate_blocks(evaluate: Callable[[slice], Result], arrays: Iterable[Array]
         return result
 
     work = sum(array.size for array in released)
-    return in_threads(evaluate_one, list(blocks(count)), work)
+    return in_threads(evaluate_one, list(blocks(count, max(BLOCK_ROWS // process_count(), 1))), work)
 
 
 def release_pages(arrays: Iterable[Array]) -> None:

@@ -127,11 +127,14 @@ def _position_ranges(joints: Sequence[str], inspections: Sequence[Inspection]) -
 
 
 def _velocity_gains(inspections: Sequence[Inspection]) -> dict[str, float]:
-    """Gain of v over dq/dt by joint, where the two agree otherwise; from the last log in which they do."""
-    gains = {}
+    """Gain of v over dq/dt by joint, from the last log in which they agree otherwise; NaN if they do in none."""
+    gains: dict[str, float] = {}
     for inspection in inspections:
         for name, joint in inspection.joints.items():
-            if joint.velocity and joint.velocity.gain and joint.velocity.agreement > 1 - MAX_DISAGREEMENT:
+            if joint.velocity is None:
+                continue
+            gains.setdefault(name, np.nan)
+            if joint.velocity.gain and joint.velocity.agreement > 1 - MAX_DISAGREEMENT:
                 gains[name] = joint.velocity.gain
     return gains
 

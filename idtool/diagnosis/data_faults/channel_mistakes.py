@@ -94,7 +94,7 @@ class Evidence:
     Attributes
     ----------
     velocity_gains
-        Gain of v over dq/dt, of joints where the two agree otherwise.
+        Gain of v over dq/dt, of joints whose v was logged; NaN where the two do not agree otherwise.
     out_of_range
         Joints whose q goes far beyond their limits.
     torque_factors
@@ -162,15 +162,21 @@ class LogScale:
 
     def advice(self, joint: str, corrections: Mapping[str, float]) -> str:
         """Advice to multiply channels of a joint by further factors, given by signal."""
-        settings: dict[str, list[str]] = {}  # signals by what their scale is to be set to
+        signals_by_setting: dict[str, list[str]] = {}
         for signal, correction in corrections.items():
-            scale = short_number(correction * self._factor(signal, joint), 6)
-            settings.setdefault(scale, []).append(signal)
-        return "set the `log.scale` " + " and ".join(f"of {' and '.join(own)} to {x}" for x, own in settings.items())
+            setting = self._setting(signal, joint, correction)
+            signals_by_setting.setdefault(setting, []).append(signal)
+        settings = [f"of {_listed(signals)} to {setting}" for setting, signals in signals_by_setting.items()]
+        return f"set the `log.scale` {' and '.join(settings)}"
 
-    def _factor(self, signal: str, joint: str) -> float:
-        factors = self.factors.get(signal, 1.0)
-        return factors.get(joint, 1.0) if isinstance(factors, Mapping) else factors
+    def _setting(self, signal: str, joint: str, correction: float) -> str:
+        """What a scale is to be set to; where it is one for all joints, with what it stays for the others."""
+        factors = self.factors.get(signal, {})
+        if isinstance(factors, Mapping):
+            return short_number(correction * factors.get(joint, 1.0), 6)
+        return (
+            f"{short_number(correction * factors, 6)} for {joint} and {short_number(factors, 6)} for the other joints"
+        )
 
 
 @dataclass(frozen=True)
@@ -223,14 +229,15 @@ class PossibleMistakes:
 
     def _inverted_position(self, j: int) -> Mistake:
         message = "q has the opposite sign of the motion that tau causes"
-        advice = self._scale_advice(j, self._motion_corrections(j, -1.0))
+        advice = self._motion_advice(j, self._motion_corrections(j, -1.0))
         return self._scaled_positions("wrong_sign", [(message, advice)], {j: -1.0}, np.eye(len(self.joints)))
 
     def _inverted_joint(self, j: int) -> Mistake:
         corrections = {**self._motion_corrections(j, -1.0), "tau": -1.0}
-        *first, last = corrections
-        message = f"{', '.join(first)} and {last} have the opposite sign of the joint's axis in the URDF"
-        advice = f"{self._scale_advice(j, corrections)}, or reverse the axis"
+        message = f"{_listed(list(corrections))} have the opposite sign of the joint's axis in the URDF"
+        advice = self._motion_advice(j, corrections)
+        if set(corrections.values()) == {-1.0}:
+            advice = f"reverse the axis, or {advice}"
         return self._scaled_positions("wrong_sign", [(message, advice)], {j: -1.0}, self._torque_factor((j,), -1.0))
 
     def _position_unit(self, subset: tuple[int, ...]) -> Mistake:
@@ -238,7 +245,7 @@ class PossibleMistakes:
         factors = {}
         for j in subset:
             unit, factors[j] = ("mm", 1e-3) if self.joints[j].kind == "prismatic" else ("degrees", np.pi / 180)
-            details.append((f"q is in {unit}", self._scale_advice(j, self._motion_corrections(j, factors[j]))))
+            details.append((f"q is in {unit}", self._motion_advice(j, self._motion_corrections(j, factors[j]))))
         return self._scaled_positions("wrong_unit", details, factors, np.eye(len(self.joints)))
 
     def _torque_unit(self, j: int) -> Mistake:
@@ -262,14 +269,28 @@ class PossibleMistakes:
     def _motion_corrections(self, j: int, position_factor: float) -> dict[str, float]:
         """Factors of q and, if v is wrong with that, of v."""
         corrections = {"q": position_factor}
-        if j in self.evidence.velocity_gains:
-            factor = velocity_factor(self.evidence.velocity_gains[j], position_factor)
+        gain = self.evidence.velocity_gains.get(j, math.nan)
+        if math.isfinite(gain):
+            factor = velocity_factor(gain, position_factor)
             if factor != 1:
                 corrections["v"] = factor
         return corrections
 
+    def _motion_advice(self, j: int, corrections: Mapping[str, float]) -> str:
+        """As in `_scale_advice`; where v does not agree with q, with the advice to look at it."""
+        advice = self._scale_advice(j, corrections)
+        if math.isnan(self.evidence.velocity_gains.get(j, 1.0)):
+            advice += "; then compare v, which may be wrong in the same way, with the derivative of q"
+        return advice
+
     def _scale_advice(self, j: int, corrections: Mapping[str, float]) -> str:
         return self.log_scale.advice(self.joints[j].name, corrections)
+
+
+def _listed(signals: Sequence[str]) -> str:
+    """Signals as in a sentence."""
+    *first, last = signals
+    return f"{', '.join(first)} and {last}" if first else last
 
 
 def velocity_factor(gain: float, position_factor: float = 1.0) -> float:

@@ -68,7 +68,7 @@ class ChannelSearch:
     logged_ranges
         Least and greatest logged q of each, shape (nv, 2) [rad or m].
     velocity_gains
-        Gain of v over dq/dt by name of the joint, where the two agree.
+        Gain of v over dq/dt by name of the joint, where v was logged; NaN where the two do not agree otherwise.
     computed
         Names of joints whose torque is computed by the controller's law.
     log_scale
@@ -289,10 +289,15 @@ class ChannelSearch:
     def _velocity_faults(self) -> Iterator[Notice]:
         """Velocities with another sign or unit than their positions, unless they were corrected together."""
         corrected = {(mistake.kind, j) for mistake in self._reported for j in mistake.position_factors}
+        out_of_range = self._out_of_range()
         for j, joint in enumerate(self.joints):
-            gain = self.velocity_gains.get(joint.name, 1.0)
+            gain = self.velocity_gains.get(joint.name, np.nan)
+            if not np.isfinite(gain):
+                continue
             factor = velocity_factor(gain, self._position_factor(j, self._reported))
             advice = self.log_scale.advice(joint.name, {"v": factor})
+            if j in out_of_range:
+                advice = "correct q, then run the diagnosis again: whether v is wrong depends on q"
             if factor < 0 and ("wrong_sign", j) not in corrected:
                 message = f"v is {short_number(gain)} times the derivative of q"
                 if self._u is not None and self._u[j] < _MAX_FINAL_MEAN:
@@ -300,6 +305,8 @@ class ChannelSearch:
                 yield Notice("wrong_sign", "problem", joint.name, message, advice)
             if is_another_unit(factor) and ("wrong_unit", j) not in corrected:
                 message = f"the magnitude of v is {short_number(abs(gain))} times that of the derivative of q"
+                if gain < 0:
+                    message += ", and its sign is the opposite"
                 yield Notice("wrong_unit", "problem", joint.name, message, advice)
 
 

@@ -155,7 +155,7 @@ class LevelSet:
         return values
 
     def _first_points(self, indices: Indices, c: Array) -> _Paths:
-        """Points at the centre, with kappa so small that the first step is about one unit of the Hessian's norm."""
+        """Points at the centre, with a kappa for which the first full step is `_FIRST_KAPPA` in the Hessian's norm."""
         x = np.tile(self._center, (len(c), 1))
         _, H = self._derivatives(x[:1])
         H_inverse_c = self._solve(H, c.T[None])[0].T  # all paths begin with the same H

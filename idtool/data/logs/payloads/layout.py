@@ -52,11 +52,11 @@ class Layout:
     def values(self, messages: Bytes, signal: str) -> NDArray[np.floating]:
         """A signal in messages (k, L), shape (k, len(joints)); a view if the values are side by side."""
         offset, dtype = self.fields[signal]
-        if not isinstance(offset, int):
-            value_bytes = offset[:, None] + np.arange(dtype.itemsize)
-            return np.take(messages, value_bytes, axis=1).view(dtype)[:, :, 0]
-        end = offset + len(self.joints) * dtype.itemsize
-        return messages[:, offset:end].view(dtype)
+        if isinstance(offset, int):
+            end = offset + len(self.joints) * dtype.itemsize
+            return messages[:, offset:end].view(dtype)
+        columns = [messages[:, start : start + dtype.itemsize].view(dtype) for start in offset.tolist()]
+        return np.concatenate(columns, axis=1, dtype=dtype)
 
 
 class LayoutDecoder:
@@ -92,30 +92,34 @@ class LayoutDecoder:
                 continue
             items = items_at(buffer, starts[index], np.dtype(f"V{length}"))
             messages = items[:, None].view(np.uint8)
+            template = self._last
+            same = _matches(template, messages)
             while len(index):
-                template, same = self._find_template(index, messages)
+                if not same.any():
+                    template = self._template_of(messages[0], int(index[0]))
+                    same = _matches(template, messages)
                 if template is None:
                     without_layout.append(int(index[0]))
-                    index, messages = index[1:], messages[1:]
-                    continue
-                samples.append(template.layout.samples(index[same], messages if same.all() else messages[same]))
+                    same[0] = True
+                else:
+                    samples.append(template.layout.samples(index[same], messages if same.all() else messages[same]))
+                    self._last = template
                 index, messages = index[~same], messages[~same]
+                same = same[~same]
         return samples, sorted(without_layout)
 
-    def _find_template(self, index: Indices, messages: Bytes) -> tuple[_Template | None, Mask]:
-        """A template of some of the messages, which tells their layout, and which ones; None: the first has none."""
-        if self._last is not None:
-            same = self._last.matches(messages)
-            if same.any():
-                return self._last, same
+    def _template_of(self, message: Bytes, index: int) -> _Template | None:
+        """A template for messages like one with an index; None if it has no layout."""
         try:
-            layout = self._layout_of(messages[0].tobytes())
+            layout = self._layout_of(message.tobytes())
         except ValueError as error:
-            raise PayloadError(int(index[0]), error) from None
-        if layout is None:
-            return None, np.zeros(len(messages), dtype=bool)
-        self._last = _Template(messages[0], layout)
-        return self._last, self._last.matches(messages)
+            raise PayloadError(index, error) from None
+        return None if layout is None else _Template(message, layout)
+
+
+def _matches(template: _Template | None, messages: Bytes) -> Mask:
+    """True for messages, shape (k, L), of a template; shape (k,)."""
+    return np.zeros(len(messages), dtype=bool) if template is None else template.matches(messages)
 
 
 class _Template:
