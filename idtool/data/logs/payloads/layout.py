@@ -84,7 +84,7 @@ class LayoutDecoder:
         return samples
 
     def decode(self, buffer: bytes, starts: Indices, lengths: Indices) -> tuple[list[Samples], list[int]]:
-        """As when called; and indices of the messages without a layout, ascending."""
+        """Samples as when called, and indices of the messages without a layout, ascending."""
         samples = []
         without_layout: list[int] = []
         for length, index in indices_by_value(lengths):
@@ -100,12 +100,12 @@ class LayoutDecoder:
                     same = _matches(template, messages)
                 if template is None:
                     without_layout.append(int(index[0]))
-                    same[0] = True
-                else:
-                    samples.append(template.layout.samples(index[same], messages if same.all() else messages[same]))
-                    self._last = template
-                index, messages = index[~same], messages[~same]
-                same = same[~same]
+                    index, messages, same = index[1:], messages[1:], same[1:]
+                    continue
+                self._last = template
+                samples.append(template.layout.samples(index[same], messages if same.all() else messages[same]))
+                rest = ~same
+                index, messages, same = index[rest], messages[rest], same[rest]
         return samples, sorted(without_layout)
 
     def _template_of(self, message: Bytes, index: int) -> _Template | None:
