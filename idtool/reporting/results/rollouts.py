@@ -10,7 +10,7 @@ RolloutKind = Literal["open_loop", "closed_loop"]
 
 
 class WindowCount(Record):
-    """Number of simulated windows; for long logs, a selection spread over them."""
+    """Number of simulated windows; for long logs and many joints, a selection spread over them."""
 
     simulated: int = field("Number of windows that were simulated.")
     of: int = field("Total number of windows.")
