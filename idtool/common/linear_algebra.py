@@ -110,15 +110,15 @@ def append_rows(R: Array, rows: Array) -> None:
 
 
 def compressed_rows(parts: Sequence[tuple[Array, Indices]], width: int) -> Array:
-    """Rows of several matrices, stacked; if they are many, their triangular QR factor, which has the same Gram matrix.
+    """Rows of several matrices, stacked, or their triangular QR factor, which has the same Gram matrix.
 
-    Many: more than four times as many as columns.
+    The factor takes the place of the rows if these are more than four times as many as the columns.
 
     Parameters
     ----------
     parts
-        Matrices, shape (k, m), and the column of the result that each of their columns belongs to, shape (m,). It is
-        fastest if those with most columns come first.
+        Matrices, shape (k, m), and the columns of the result that their columns become, shape (m,). The widest should
+        come first, for speed.
     width
         Number of columns.
 

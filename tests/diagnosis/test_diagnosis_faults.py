@@ -592,6 +592,15 @@ def test_a_velocity_is_not_to_be_scaled_to_positions_that_are_impossible(
     assert "57.3" not in advice
 
 
+@pytest.mark.parametrize(
+    ("gains", "reverses"), [({}, True), ({0: 1.0}, True), ({0: -1.0}, False), ({0: np.nan}, False)]
+)
+def test_an_axis_is_to_be_reversed_only_if_all_signals_are(gains: Mapping[int, float], reverses: bool) -> None:
+    possible = PossibleMistakes(searched(1, 20).joints, Evidence(gains, set(), {}), AS_LOGGED)
+    ((_, advice),) = possible._inverted_joint(0).details
+    assert advice.startswith("reverse the axis, or set") == reverses
+
+
 def test_alternatives_are_told_whole() -> None:
     """With their joints, and not cut short."""
     possible = PossibleMistakes(searched(2, 20).joints, NO_EVIDENCE, AS_LOGGED)

@@ -135,8 +135,8 @@ class _Buffer:
 class McapRecords:
     """The data section of an MCAP file.
 
-    Iterating raises LogError where the file is damaged anywhere but at its truncated end. Chunks are decompressed, and
-    their messages found, in a thread, a few ahead of the records that are asked for.
+    Iterating raises LogError where the file is damaged anywhere but at its truncated end. A thread decompresses chunks
+    and finds their messages, a few chunks ahead of the records that are asked for.
 
     Parameters
     ----------

@@ -122,7 +122,9 @@ def _position_ranges(joints: Sequence[str], inspections: Sequence[Inspection]) -
     ranges = []
     for name in joints:
         q = [inspection.joints[name].signals["q"] for inspection in inspections]
-        ranges.append((min(x.minimum for x in q), max(x.maximum for x in q)))
+        least = min(of_log.minimum for of_log in q)
+        greatest = max(of_log.maximum for of_log in q)
+        ranges.append((least, greatest))
     return np.array(ranges)
 
 

@@ -89,7 +89,7 @@ class Mistake:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What channels show by themselves, by index of the joint.
+    """Signs of wrong channels that are seen without a model of the bodies, by index of the joint.
 
     Attributes
     ----------
@@ -98,8 +98,7 @@ class Evidence:
     out_of_range
         Joints whose q goes far beyond their limits.
     torque_factors
-        Of joints whose torque is about a thousand times that of the URDF's bodies, or a thousandth: what it would then
-        have to be multiplied by.
+        Corrections of torques that are about a thousand times those of the URDF's bodies, or a thousandth: 1e-3 or 1e3.
     """
 
     velocity_gains: Mapping[int, float]
@@ -170,13 +169,13 @@ class LogScale:
         return f"set the `log.scale` {' and '.join(settings)}"
 
     def _setting(self, signal: str, joint: str, correction: float) -> str:
-        """What a scale is to be set to; where it is one for all joints, with what it stays for the others."""
+        """New scale of a signal as text, with the unchanged one of the other joints where they share one."""
         factors = self.factors.get(signal, {})
         if isinstance(factors, Mapping):
             return short_number(correction * factors.get(joint, 1.0), 6)
-        return (
-            f"{short_number(correction * factors, 6)} for {joint} and {short_number(factors, 6)} for the other joints"
-        )
+        of_joint = short_number(correction * factors, 6)
+        of_others = short_number(factors, 6)
+        return f"{of_joint} for {joint} and {of_others} for the other joints"
 
 
 @dataclass(frozen=True)
@@ -236,7 +235,8 @@ class PossibleMistakes:
         corrections = {**self._motion_corrections(j, -1.0), "tau": -1.0}
         message = f"{_listed(list(corrections))} have the opposite sign of the joint's axis in the URDF"
         advice = self._motion_advice(j, corrections)
-        if set(corrections.values()) == {-1.0}:
+        is_v_alike = "v" in corrections or j not in self.evidence.velocity_gains
+        if is_v_alike and set(corrections.values()) == {-1.0}:
             advice = f"reverse the axis, or {advice}"
         return self._scaled_positions("wrong_sign", [(message, advice)], {j: -1.0}, self._torque_factor((j,), -1.0))
 
@@ -294,7 +294,7 @@ def _listed(signals: Sequence[str]) -> str:
 
 
 def velocity_factor(gain: float, position_factor: float = 1.0) -> float:
-    """Factor that makes v the derivative of q once q is multiplied by its own; 1 if v is right but for calibration.
+    """Factor that makes v the derivative of the corrected q: ±1, or that of q, or as measured if v has its own unit.
 
     Parameters
     ----------
@@ -304,9 +304,9 @@ def velocity_factor(gain: float, position_factor: float = 1.0) -> float:
         Factor that q is to be multiplied by.
     """
     factor = position_factor / gain
-    if not is_another_unit(factor):
+    if not is_another_unit(factor):  # only the sign of v may be wrong
         return math.copysign(1.0, factor)
-    if not is_another_unit(gain):
+    if not is_another_unit(gain):  # v is in the unit of q
         return math.copysign(position_factor, factor)
     return float(f"{factor:.4g}")  # the gain is measured
 

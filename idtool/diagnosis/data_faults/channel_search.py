@@ -36,7 +36,8 @@ from idtool.estimation.dataset.experiment import Progress
 from idtool.robot.urdf.reading import UrdfJoint
 
 _SUSPICIOUS = 0.005  # u above which mistakes are looked for
-_MIN_IMPROVEMENT = 1.5  # decrease of the sum over the joints of log u; without a mistake none of 200 logs had over 0.5
+# Decrease of the sum over the joints of log u. Without a mistake, none of 200 logs had more than 0.5.
+_MIN_IMPROVEMENT = 1.5
 _MAX_MEAN_RATIO = 0.35  # of the mean of u, after over before
 _MAX_FINAL_MEAN = 0.15  # of u, above which no fault is reported in the end
 _EQUAL_IMPROVEMENT = 0.7  # difference of two improvements below which the preferred mistake is taken
@@ -48,7 +49,7 @@ _MAX_FIT_WORK = 3.5e9  # fits of one round for a larger group, times the cube of
 _MIN_EXCESS = 1.5  # log10 of a torque over the URDF's, from which it may be a thousandfold
 _U_WITHOUT_FIT = 1e9
 _STAGE = "looking for wrong channels"
-_MIN_ORDER_IMPROVEMENT = 2.0  # as `_MIN_IMPROVEMENT`, of another order of the torques, with unconstrained coefficients
+_MIN_ORDER_IMPROVEMENT = 2.0  # the same with unconstrained coefficients, for another order of the torques
 _FAR_BEYOND = 10.0  # times the URDF's range, that a joint can't cover
 _MAX_TRAVEL = 8 * np.pi  # rad of a joint without limits
 
@@ -173,7 +174,10 @@ class ChannelSearch:
         return best
 
     def _unexplained_without_each(self, mistakes: Mapping[int, Mistake]) -> dict[int, Array | None]:
-        """Shares u with the mistake of each group undone, by group: of all at once, since groups share no bodies."""
+        """Shares u with the mistake of each group undone, by group.
+
+        All are undone at once, since groups share no bodies; one by one if there is no fit then.
+        """
         together = self._unexplained_without(list(mistakes.values()))
         if together is not None or len(mistakes) == 1:
             return dict.fromkeys(mistakes, together)
@@ -197,7 +201,7 @@ class ChannelSearch:
         return by_group
 
     def _evidence(self) -> Evidence:
-        """What the channels show by themselves, with the accepted mistakes undone."""
+        """Signs of wrong channels that are left once the accepted mistakes are undone."""
         velocity_gains = {}
         for j, name in enumerate(self._names):
             if name in self.velocity_gains:
@@ -211,7 +215,7 @@ class ChannelSearch:
     def _suspects(self, u: Array, group: Indices, evidence: Evidence) -> Suspects:
         """Joints of a group in which mistakes are looked for: of many, the most suspicious ones.
 
-        For each mistake, all bodies are fitted once more, which takes about as long as the cube of the number of their
+        For each mistake, all bodies are fitted once more. The time for it grows with the cube of the number of their
         coefficients.
         """
         most_suspicious_first = _most_suspicious_first(u, group, evidence)
@@ -243,7 +247,8 @@ class ChannelSearch:
 
         cost = np.log(np.maximum(self._sample.exchanged, MIN_UNEXPLAINED))
         _, order = linear_sum_assignment(cost)
-        if np.trace(cost) - cost[np.arange(len(u)), order].sum() < _MIN_ORDER_IMPROVEMENT:
+        decrease = np.trace(cost) - cost[np.arange(len(u)), order].sum()
+        if decrease < _MIN_ORDER_IMPROVEMENT:
             return []
         mistake = torque_order([int(k) for k in order], self._names)
         after = self._unexplained_without([mistake])
@@ -268,7 +273,7 @@ class ChannelSearch:
         return {j for mistake in self.accepted if mistake.kind == "wrong_unit" for j in mistake.joints}
 
     def _position_factor(self, j: int, mistakes: Sequence[Mistake]) -> float:
-        """What the position of a joint is multiplied by if mistakes are undone."""
+        """Factor of a joint's position that undoes mistakes."""
         return math.prod(mistake.position_factors.get(j, 1.0) for mistake in mistakes)
 
     def _position_faults(self, u: Array) -> Iterator[Notice]:

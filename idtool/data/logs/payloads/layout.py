@@ -19,7 +19,7 @@ from idtool.data.logs.sample_buffer import Samples
 Bytes = NDArray[np.uint8]
 
 _ALL_BITS = 0xFF  # of a byte
-_MIN_GAP = 64  # bytes that are not of the layout, from which on they are passed over
+_MIN_GAP = 64  # bytes outside the layout; fewer are compared, too, since one slice is faster than two
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class LayoutDecoder:
         samples = []
         without_layout: list[int] = []
         for length, index in indices_by_value(lengths):
-            if length == 0:
+            if length == 0:  # an empty message has no joints
                 continue
             items = items_at(buffer, starts[index], np.dtype(f"V{length}"))
             messages = items[:, None].view(np.uint8)
@@ -103,7 +103,8 @@ class LayoutDecoder:
                     index, messages, same = index[1:], messages[1:], same[1:]
                     continue
                 self._last = template
-                samples.append(template.layout.samples(index[same], messages if same.all() else messages[same]))
+                matching = messages if same.all() else messages[same]  # a view where possible
+                samples.append(template.layout.samples(index[same], matching))
                 rest = ~same
                 index, messages, same = index[rest], messages[rest], same[rest]
         return samples, sorted(without_layout)
