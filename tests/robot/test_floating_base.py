@@ -13,6 +13,8 @@ from standing_quadruped import PinocchioQuadruped, quadruped_model, random_state
 
 from idtool.common.exceptions import ConfigError
 from idtool.dynamics.effects.rigid_body import RigidBodies
+from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.regrouping import regrouped
 from idtool.robot.inertia import PI_SIZE
 from idtool.robot.inverse_dynamics import inverse_dynamics
 from idtool.robot.kinematics import body_placements
@@ -50,6 +52,13 @@ def test_torque_is_that_of_pinocchio(tmp_path: Path, rng: np.random.Generator) -
     by_columns = [pi.ravel()[active] @ own for active, own in zip(bodies.active, columns, strict=True)]
     np.testing.assert_allclose(by_columns, expected, atol=1e-10)
     assert len(bodies.active[12]) == PI_SIZE * len(model.bodies)
+
+    equation = LinearModel(model.names, (bodies,))
+    base = regrouped(equation)
+    by_regrouped = base.equation.torque(motion, base.regrouped_values(pi.ravel()))
+    np.testing.assert_allclose(by_regrouped, expected, atol=1e-10)
+    for i, (left, all_columns) in enumerate(zip(base.equation.columns(motion), equation.columns(motion), strict=True)):
+        np.testing.assert_allclose(base.all_columns(i, left.T).T, all_columns, atol=1e-10)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from typing_extensions import override
@@ -13,9 +14,9 @@ from idtool.data.signals import Motion
 from idtool.dynamics.effects.effect import Coefficient, Effect
 from idtool.dynamics.mechanism import Mechanism
 from idtool.robot.body import Body
-from idtool.robot.inertia import LENGTH_POWERS, PARAMETER_NAMES, PARAMETER_UNITS, PI_SIZE, mass_com_inertia, skew
+from idtool.robot.inertia import LENGTH_POWERS, PARAMETER_NAMES, PARAMETER_UNITS, PI_SIZE, mass_com_inertia
 from idtool.robot.inverse_dynamics import inverse_dynamics
-from idtool.robot.kinematics import BodyMotion, body_motions, cross, iterate_jacobians
+from idtool.robot.kinematics import BodyMotion, body_motions, iterate_jacobians
 from idtool.robot.model import RobotModel
 
 _BUFFER = 1 << 18  # numbers, 2 MiB: what fits in a processor's cache
@@ -24,40 +25,76 @@ _MIN_MASS_SHARE = 0.1  # of the bodies' median mass
 RIGID_BODY = "rigid_body"  # effect of their coefficients
 
 
+@dataclass(frozen=True)
+class ParameterSubset:
+    """Some of the parameters of a body.
+
+    Attributes
+    ----------
+    has_mass
+        True if the mass is one of them.
+    moments
+        Indices of those of the three first moments h.
+    inertias
+        Indices of those of the six moments and products of inertia.
+    """
+
+    has_mass: bool = True
+    moments: range = range(3)
+    inertias: range = range(6)
+
+    @property
+    def indices(self) -> Indices:
+        """Their indices among the ten parameters, ascending."""
+        mass = range(1 if self.has_mass else 0)
+        return np.array([*mass, *(1 + i for i in self.moments), *(4 + i for i in self.inertias)], dtype=np.intp)
+
+
+ALL_PARAMETERS = ParameterSubset()
+
+
 class RigidBodies(Effect):
-    """All bodies of a model, ten coefficients each, in the model's order.
+    """All bodies of a model, in the model's order, with ten coefficients each or some of these.
 
     Parameters
     ----------
     model
         The tree of bodies.
+    subsets
+        Parameters of each body that have coefficients, while the others are 0; None: all have.
     """
 
-    def __init__(self, model: RobotModel) -> None:
+    def __init__(self, model: RobotModel, subsets: Sequence[ParameterSubset] | None = None) -> None:
         self.model = model
+        self._subsets = [ALL_PARAMETERS] * len(model.bodies) if subsets is None else list(subsets)
+        self._is_complete = subsets is None
         typical = typical_mass(model.bodies)
-        coefficients = []
-        for body in model.bodies:
-            for name, unit, prior, scale in zip(
-                PARAMETER_NAMES, PARAMETER_UNITS, body.pi, parameter_scales(body, typical), strict=True
-            ):
-                coefficients.append(Coefficient(RIGID_BODY, body.name, name, unit, float(prior), float(scale)))
+        coefficients: list[Coefficient] = []
+        of_bodies = []  # indices of their coefficients
+        for body, subset in zip(model.bodies, self._subsets, strict=True):
+            scales = parameter_scales(body, typical)
+            indices = subset.indices
+            of_bodies.append(len(coefficients) + np.arange(len(indices)))
+            for k in indices.tolist():
+                name, unit = PARAMETER_NAMES[k], PARAMETER_UNITS[k]
+                coefficients.append(Coefficient(RIGID_BODY, body.name, name, unit, float(body.pi[k]), float(scales[k])))
         self.coefficients = tuple(coefficients)
 
         support = model.support()
         active = []
         for joint in range(support.shape[1]):
             bodies = np.flatnonzero(support[:, joint])
-            active.append((bodies[:, None] * PI_SIZE + np.arange(PI_SIZE)).ravel())
+            active.append(np.concatenate([np.zeros(0, dtype=np.intp), *(of_bodies[i] for i in bodies)]))
         self.active = tuple(active)
         self._support = support
-        # Number of bodies before each body among the columns of a joint:
-        self._position: Indices = np.cumsum(support, axis=0) - support
+        # Number of columns of a joint before those of each body:
+        counts = support * np.array([len(indices) for indices in of_bodies], dtype=np.intp)[:, None]
+        self._first_column: Indices = np.cumsum(counts, axis=0) - counts
 
     @property
     @override
     def column_key(self) -> Hashable:
-        return "rigid_bodies", IdentityKey(self.model)
+        return "rigid_bodies", IdentityKey(self.model), self._is_complete
 
     @override
     def columns(self, motion: Motion, out: Sequence[Array]) -> None:
@@ -70,13 +107,13 @@ class RigidBodies(Effect):
             self._write(i, coordinates, low_pass(columns), out)
 
     def _write(self, i: int, coordinates: Indices, columns: Array, out: Sequence[Array]) -> None:
-        """Write the columns of body i, shape (k, 10, N), to those of the k joints that move it."""
+        """Write the m columns of body i, shape (k, m, N), to those of the k joints that move it."""
         for joint, own in zip(coordinates, columns, strict=True):
-            first = PI_SIZE * self._position[i, joint]
-            out[joint][first : first + PI_SIZE] = own
+            first = self._first_column[i, joint]
+            out[joint][first : first + len(own)] = own
 
     def _columns_by_body(self, motion: Motion) -> Iterator[tuple[int, Indices, Array]]:
-        """Every body with the k joints that move it and its columns in their equations, shape (k, 10, N).
+        """Every body with the k joints that move it and its m columns in their equations, shape (k, m, N).
 
         The array is overwritten by the next body's columns: memory of all of them together would be many times a
         processor's cache.
@@ -85,18 +122,19 @@ class RigidBodies(Effect):
         at_once = max(_BUFFER // (PI_SIZE * len(motion.t)), 1)
         buffer = np.empty((at_once, PI_SIZE, len(motion.t)))
         for i, jacobian in enumerate(iterate_jacobians(self.model, motions)):
-            body, body_motion = self.model.bodies[i], motions[i]
-            D = _inertia_torque(body_motion)
+            body, body_motion, subset = self.model.bodies[i], motions[i], self._subsets[i]
+            count = len(subset.indices)
+            D = _inertia_torque(body_motion)[:, _as_slice(subset.inertias)]
             for first in range(0, len(jacobian.coordinates), at_once):
                 coordinates = jacobian.coordinates[first : first + at_once]
-                columns = buffer[: len(coordinates)]
+                columns = buffer[: len(coordinates), :count]
                 is_along_axis = self._moves_along_axis_alone(i)[coordinates]
                 for start, stop in mask_runs(~is_along_axis).tolist():
                     chosen = slice(first + start, first + stop)
                     S_w, S_v = jacobian.S_w[:, chosen], jacobian.S_v[:, chosen]
-                    _write_columns(body_motion, S_w, S_v, D, columns[start:stop])
+                    _write_columns(body_motion, S_w, S_v, D, subset, columns[start:stop])
                 for k in np.flatnonzero(is_along_axis):
-                    _write_own_axis_columns(body, body_motion, D, body.ratios[coordinates[k]], columns[k])
+                    _write_own_axis_columns(body, body_motion, D, body.ratios[coordinates[k]], subset, columns[k])
                 yield i, coordinates, columns
 
     def _moves_along_axis_alone(self, i: int) -> Mask:
@@ -118,40 +156,82 @@ class RigidBodies(Effect):
         motion
             N samples.
         """
-        return inverse_dynamics(self.model, theta.reshape(-1, PI_SIZE), motion.q, motion.v, motion.a)
+        return inverse_dynamics(self.model, self._parameters(theta), motion.q, motion.v, motion.a)
 
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
-        mechanism.pi += theta.reshape(-1, PI_SIZE)
+        mechanism.pi += self._parameters(theta)
         mechanism.gravity = self.model.gravity
 
+    def _parameters(self, theta: Array) -> Array:
+        """Parameters of all bodies, shape (bodies, 10); 0 where there is no coefficient."""
+        if self._is_complete:
+            return theta.reshape(-1, PI_SIZE)
+        parameters = np.zeros((len(self._subsets), PI_SIZE))
+        rest = theta
+        for own, subset in zip(parameters, self._subsets, strict=True):
+            indices = subset.indices
+            own[indices] = rest[: len(indices)]
+            rest = rest[len(indices) :]
+        return parameters
 
-def _write_own_axis_columns(body: Body, motion: BodyMotion, D: Array, ratio: float, out: Array) -> None:
+
+def _write_own_axis_columns(
+    body: Body, motion: BodyMotion, D: Array, ratio: float, subset: ParameterSubset, out: Array
+) -> None:
     """Write what `_write_columns` does, for a joint that moves the body along or about its own axis alone.
 
     What is zero is exactly zero.
     """
     axis = ratio * body.axis
+    mass, moments, inertias = _parts(subset, out)
     if body.prismatic:
-        out[0] = axis @ motion.acc
-        out[1:4] = np.tensordot(axis, motion.M, axes=1)
-        out[4:] = 0
+        mass[:] = axis @ motion.acc
+        moments[:] = _combined(axis, motion.M[:, _as_slice(subset.moments)])
+        inertias[:] = 0
     else:
-        out[0] = 0
-        out[1:4] = skew(-axis) @ motion.acc
-        out[4:] = np.tensordot(axis, D, axes=1)
+        mass[:] = 0
+        for row, i in zip(moments, subset.moments, strict=True):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            row[:] = _combined(np.array([axis[k], -axis[j]]), motion.acc[[j, k]])
+        inertias[:] = _combined(axis, D)
 
 
-def _write_columns(motion: BodyMotion, S_w: Array, S_v: Array, D: Array, out: Array) -> None:
-    """Write a body's ten columns in k joints' equations: the power of the body's wrench in each joint's motion.
+def _combined(factors: Array, x: Array) -> Array:
+    """Sum of arrays times factors, shape (m, ..., N) to (..., N); those of factor 0, as of most axes, cost nothing."""
+    total = np.zeros(x.shape[1:])
+    for i in np.flatnonzero(factors):
+        total += factors[i] * x[i]
+    return total
+
+
+def _write_columns(motion: BodyMotion, S_w: Array, S_v: Array, D: Array, subset: ParameterSubset, out: Array) -> None:
+    """Write a body's m columns in k joints' equations, (k, m, N): the power of its wrench in each joint's motion.
 
     With the body's wrench f = m acc + M h, n = h × acc + I alpha + w × I w (4), the power is S_v · f + S_w · n;
     collected by parameter.
     """
-    np.einsum("ikn,in->kn", S_v, motion.acc, out=out[:, 0])
-    np.einsum("ikn,ijn->kjn", S_v, motion.M, out=out[:, 1:4])
-    out[:, 1:4] += cross(motion.acc[:, None], S_w).swapaxes(0, 1)
-    np.einsum("ikn,ijn->kjn", S_w, D, out=out[:, 4:])
+    mass, moments, inertias = _parts(subset, out.swapaxes(0, 1))
+    if subset.has_mass:
+        np.einsum("ikn,in->kn", S_v, motion.acc, out=mass[0])
+    np.einsum("ikn,ijn->jkn", S_v, motion.M[:, _as_slice(subset.moments)], out=moments)
+    for column, i in zip(moments, subset.moments, strict=True):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        column += motion.acc[j] * S_w[k]
+        column -= motion.acc[k] * S_w[j]
+    np.einsum("ikn,ijn->jkn", S_w, D, out=inertias)
+
+
+def _as_slice(indices: range) -> slice:
+    """The slice of the same indices, which takes a view of an array."""
+    return slice(indices.start, indices.stop, indices.step)
+
+
+def _parts(subset: ParameterSubset, columns: Array) -> tuple[Array, Array, Array]:
+    """The m columns of a body, shape (m, ...): of its mass, of its first moments, and of its inertia."""
+    first_moment = int(subset.has_mass)
+    first_inertia = first_moment + len(subset.moments)
+    return columns[:first_moment], columns[first_moment:first_inertia], columns[first_inertia:]
 
 
 def _inertia_torque(motion: BodyMotion) -> Array:

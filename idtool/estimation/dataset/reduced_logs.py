@@ -14,6 +14,7 @@ from idtool.data.excerpt import excerpt_of, seconds_that_fit
 from idtool.data.logs import JointLog
 from idtool.data.signals import Batch
 from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.regrouping import regrouped
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.blocks import (
     Blocks,
@@ -125,6 +126,8 @@ def reduce_logs(
         If true, an excerpt of each log is kept, for a diagnosis.
     """
     equation = experiment.equation
+    independent = regrouped(equation)
+    prior = independent.regrouped_values(equation.prior)
     runs = experiment.runs
     log_count = rounded_count(log_count or len(runs))
     numbered = list(enumerate(runs))
@@ -143,13 +146,13 @@ def reduce_logs(
     def reduce_part(part: LogPart[Batch]) -> ReducedPart:
         i, held_out = kinds[part.log]
         run = runs[i]
-        reduced = ReducedPart.empty(equation, Envelope(run.parts(held_out), run.signals.log.t, bins))
+        reduced = ReducedPart.empty(independent.equation, Envelope(run.parts(held_out), run.signals.log.t, bins))
 
         def rows() -> Iterator[tuple[list[Array], Shares]]:
             first_row = part.first_row
             for batch, span in zip(part.batches, part.batches.spans, strict=True):
                 kept_rows = rows_of_series[part.log].get(span.start, 0)
-                rows, shares = reduced.add_batch(equation, run.signals, batch, kept_rows)
+                rows, shares = reduced.add_batch(independent.equation, prior, run.signals, batch, kept_rows)
                 if drawn_limit:
                     in_band = [own[:-1] for own in rows]
                     keys = row_keys(f"{log_identity(run.signals.log)} {held_out}", first_row, span.rows)
@@ -169,6 +172,8 @@ def reduce_logs(
             parts[kinds[k]].merge(part, drawn_limit)
         else:
             parts[kinds[k]] = part
+    for part in parts.values():
+        part.restore_columns(independent)
     reduced = []
     for i, run in numbered:
         log = run.signals.log

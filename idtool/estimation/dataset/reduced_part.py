@@ -7,7 +7,7 @@ decimation would fold into the band.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from idtool.common.arrays import Array, Mask
 from idtool.data.filters import LowPass
 from idtool.data.signals import Batch, Signals
 from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.regrouping import RegroupedModel
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.blocks import merge_reductions
 from idtool.estimation.dataset.drawn_rows import DrawnRows, merged_draws
@@ -121,8 +122,34 @@ class ReducedPart:
         self.rows += other.rows
         self.series += other.series
 
+    def restore_columns(self, regrouped: RegroupedModel) -> None:
+        """Add the columns that were left out, in place.
+
+        Parameters
+        ----------
+        regrouped
+            The model whose equation the part was reduced with.
+        """
+
+        def restored(reduction: Reduction) -> Reduction:
+            factors = []
+            for joint, factor in enumerate(reduction):
+                factors.append(replace(factor, R=regrouped.all_columns(joint, factor.R)))
+            return tuple(factors)
+
+        if self.blocks:
+            self.counted = restored(self.counted)  # merged before, with fewer columns
+        for number, block in self.blocks.items():
+            self.blocks[number] = restored(block)
+        self.excluded = restored(self.excluded)
+        self.extremes.rows = [regrouped.all_columns(joint, rows) for joint, rows in enumerate(self.extremes.rows)]
+        drawn = [regrouped.all_columns(joint, rows.T).T for joint, rows in enumerate(self.drawn.rows)]
+        self.drawn = replace(self.drawn, rows=tuple(drawn))
+        for series in self.series:
+            series[:] = [regrouped.all_columns(joint, rows.T).T for joint, rows in enumerate(series)]
+
     def add_batch(
-        self, equation: LinearModel, signals: Signals, batch: Batch, series_rows: int
+        self, equation: LinearModel, prior: Array, signals: Signals, batch: Batch, series_rows: int
     ) -> tuple[list[Array], Shares]:
         """Add a batch; its rows are returned, to be cut into blocks.
 
@@ -130,6 +157,8 @@ class ReducedPart:
         ----------
         equation
             The torque equation.
+        prior
+            Coefficients before the fit, shape (p,): rows are kept where their error is largest.
         signals
             The log.
         batch
@@ -164,7 +193,6 @@ class ReducedPart:
             above = _filtered(motion.logged_tau, batch, signals.anti_aliasing) - measured
         self.rows += measured.shape[1]
         bins = self.posture.bins_of(times[::stride])
-        prior = equation.prior
         for joint, active in enumerate(equation.active()):
             drawn = np.concatenate([columns[joint], measured[None, joint]])
             Y, tau = columns[joint][:-1], columns[joint][-1]

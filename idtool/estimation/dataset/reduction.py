@@ -22,7 +22,7 @@ class Factor:
     Attributes
     ----------
     R
-        Triangular factor of [Y_j, tau_j], shape (at most m_j + 1, m_j + 1).
+        Factor of [Y_j, tau_j], shape (at most m_j + 1, m_j + 1); of a QR decomposition, a triangle.
     rows
         Number of rows that went into it; without contact forces, what they leave of rows counts as a share of one.
     independent

@@ -1,0 +1,75 @@
+"""Dependent columns of bodies: a theorem, on random trees with rotors, and what it leaves to evaluate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from robots import actuated, axis, inertial, joint, origin, random_rotors, random_urdf
+from test_regressor import random_motion
+
+from idtool.dynamics.effects import build_effects
+from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.regrouping import regrouped
+from idtool.robot.config import parse_config
+from idtool.robot.model import RobotModel, build_model
+from idtool.robot.urdf.reading import Robot
+
+Array = NDArray[np.float64]
+ReadRobot = Callable[[str | bytes], Robot]
+
+
+def random_model(seed: int, robot_of: ReadRobot) -> tuple[RobotModel, LinearModel]:
+    """A random tree with rotors, and its equation with friction."""
+    rng = np.random.default_rng(seed)
+    robot = robot_of(random_urdf(rng, size=8))
+    settings = {"gravity": (5 * rng.normal(size=3)).tolist()}
+    if seed % 2:
+        settings["rotors"] = random_rotors(rng, robot)
+    config = parse_config(settings, "")
+    model = build_model(robot, config, actuated(robot))
+    return model, LinearModel(model.names, build_effects(model, config))
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_columns_that_are_left_give_all(seed: int, robot_of: ReadRobot) -> None:
+    model, equation = random_model(seed, robot_of)
+    base = regrouped(equation)
+    assert len(base.equation.coefficients) < len(equation.coefficients)
+    motion = random_motion(np.random.default_rng(seed), len(model.names), 8)
+    left_columns = base.equation.columns(motion)
+    for i, expected in enumerate(equation.columns(motion)):
+        restored = base.all_columns(i, left_columns[i].T).T
+        np.testing.assert_allclose(restored, expected, rtol=0, atol=1e-12 * max(1, np.abs(expected).max()))
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_regrouped_values_give_the_same_torque(seed: int, robot_of: ReadRobot) -> None:
+    model, equation = random_model(seed, robot_of)
+    base = regrouped(equation)
+    rng = np.random.default_rng(seed)
+    motion = random_motion(rng, len(model.names), 8)
+    theta = equation.prior * rng.uniform(0.5, 1.5, len(equation.prior))
+    expected = equation.torque(motion, theta)
+    torque = base.equation.torque(motion, base.regrouped_values(theta))
+    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-12 * max(1, np.abs(expected).max()))
+
+
+def test_of_a_general_chain_nothing_more_can_be_left_out(robot_of: ReadRobot, rng: np.random.Generator) -> None:
+    """Gautier & Khalil (1990): 7 n − 4 parameters of n revolute joints in general position determine the torque."""
+    count = 4
+    names = [f"j{i}" for i in range(count)]
+    joints = [joint(name, "revolute", f"l{i}", f"l{i + 1}", origin(rng) + axis(rng)) for i, name in enumerate(names)]
+    links = "".join(f'<link name="l{i}">{inertial(rng)}</link>' for i in range(count + 1))
+    config = parse_config({"gravity": [1.0, 2.0, -9.0]}, "")
+    model = build_model(robot_of(f'<robot name="chain">{links}{"".join(joints)}</robot>'), config, names)
+    equation = regrouped(LinearModel(model.names, build_effects(model, config)[:1])).equation
+    samples = 200
+    Y = np.zeros((count, samples, len(equation.coefficients)))
+    for row, columns, active in zip(
+        Y, equation.columns(random_motion(rng, count, samples)), equation.active(), strict=True
+    ):
+        row[:, active] = columns[:-1].T
+    assert Y.shape[-1] == np.linalg.matrix_rank(Y.reshape(-1, Y.shape[-1])) == 7 * count - 4
