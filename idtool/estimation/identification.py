@@ -102,7 +102,7 @@ def estimate_from_logs(
     config = experiment.config
     if config.solver.backend:
         check_backend(config.solver.backend)  # before the logs are read through
-    data = data or experiment.blocks(experiment.rows, progress)
+    data = data or experiment.reduce_in_blocks(progress)
     reduction = merge_reductions([log.total for log in data])
 
     set_name = config.constraints

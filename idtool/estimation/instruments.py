@@ -165,7 +165,7 @@ def instrumented_blocks(experiment: Experiment, made: Sequence[Instruments], pro
     """
     of_run = {id(each.run): each for each in made}
     columns = instrumented_columns(experiment)
-    return experiment.blocks(lambda run: instrumented_rows(experiment, of_run[id(run)]), progress, columns=columns)
+    return experiment.blocks(lambda run: instrumented_rows(experiment, of_run[id(run)]), progress, "reading", columns)
 
 
 def instrumented_columns(experiment: Experiment) -> list[int]:

@@ -78,7 +78,7 @@ def with_sensor_drift(
 
 def _reduced(experiment: Experiment, progress: Progress) -> tuple[Blocks, ...]:
     """The training data as R-factors."""
-    return experiment.blocks(experiment.rows, progress)
+    return experiment.reduce_in_blocks(progress)
 
 
 def _with_drift(experiment: Experiment, indices: Collection[int]) -> Experiment:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from paths import SAMPLES
 
 from idtool.common.arrays import Array
-from idtool.estimation.dataset.experiment import Experiment, prepare
+from idtool.estimation.dataset.experiment import Experiment, Rows, Run, prepare
 from idtool.estimation.dataset.extreme_rows import ExtremeRows
 from idtool.estimation.dataset.reduced_logs import ReducedLog, reduce_logs, training_blocks
 from idtool.estimation.evaluation.reduced_errors import evaluate_reduced
@@ -80,7 +80,12 @@ def test_held_out_parts_need_no_blocks(
 
 
 def test_training_data_are_those_of_the_fit(experiment: Experiment, reduced: Sequence[ReducedLog]) -> None:
-    blocks = experiment.blocks(experiment.rows, silent)
+    """And those of all columns, of which a reduction evaluates only independent ones."""
+
+    def all_rows(run: Run) -> Rows:
+        return experiment.batches(run, False).map(experiment.equation.counted_rows)
+
+    blocks = experiment.blocks(all_rows, silent, "reading")
     for log, own in zip(blocks, training_blocks(experiment, reduced), strict=True):
         assert (own.name, len(own), own.seconds) == (log.name, len(log), log.seconds)
         for part, own_part in zip(log.parts, own.parts, strict=True):

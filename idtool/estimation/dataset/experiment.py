@@ -30,6 +30,7 @@ from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.effects.wrench_sensor_offset import drift_times
 from idtool.dynamics.regressor import LinearModel
+from idtool.dynamics.regrouping import regrouped
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import (
@@ -47,7 +48,7 @@ from idtool.estimation.dataset.imu_delay import with_imu_delay
 from idtool.estimation.dataset.joint_limits import beyond_limits_notice, position_ranges
 from idtool.estimation.dataset.kinematic_checks import kinematic_notices
 from idtool.estimation.dataset.passes import LogPart, read_through
-from idtool.estimation.dataset.reduction import Reduction, empty, merge
+from idtool.estimation.dataset.reduction import Reduction, empty, merge, with_all_columns
 from idtool.estimation.dataset.weights import initial_row_noise
 from idtool.estimation.dataset.wrench_sensor_sign import sign_notices
 from idtool.robot.bounding import hull_sources
@@ -239,18 +240,14 @@ class Experiment:
             for part in run.parts(held_out)
         )
 
-    def rows(self, run: Run) -> Rows:
-        """The torque equation's rows along the training part of a log, batch after batch."""
-        return self.batches(run, False).map(self.equation.counted_rows)
-
     def blocks(
         self,
         rows: Callable[[Run], Rows],
         progress: Progress,
-        stage: str = "reading",
+        stage: str,
         columns: Sequence[int] | None = None,
     ) -> tuple[Blocks, ...]:
-        """The training data as R-factors of consecutive blocks, log by log.
+        """Rows along the training data as R-factors of consecutive blocks, log by log.
 
         Parameters
         ----------
@@ -329,12 +326,29 @@ class Experiment:
 
     def reduce(self, progress: Progress) -> Reduction:
         """The training data as R-factors; see `checked`."""
-        return merge_reductions([log.total for log in self.blocks(self.rows, progress)])
+        return merge_reductions([log.total for log in self.reduce_in_blocks(progress)])
 
     def reduce_unchecked(self, progress: Progress) -> Reduction:
         """The training data as R-factors, of which some joints may have no rows."""
-        blocks = self._unchecked_blocks(self.rows, progress, "reading", self.columns_of_coefficients)
+        blocks = self._reduce_in_unchecked_blocks(progress)
         return merge_reductions([empty(self.equation.active()), *(log.total for log in blocks)])
+
+    def reduce_in_blocks(self, progress: Progress) -> tuple[Blocks, ...]:
+        """The training data as R-factors of consecutive blocks, log by log; LogError as `checked`."""
+        return self.checked_blocks(self._reduce_in_unchecked_blocks(progress))
+
+    def _reduce_in_unchecked_blocks(self, progress: Progress) -> tuple[Blocks, ...]:
+        """`reduce_in_blocks`, where joints may have no sample that counts."""
+        independent = regrouped(self.equation)
+
+        def rows(run: Run) -> Rows:
+            return self.batches(run, False).map(independent.equation.counted_rows)
+
+        blocks = []
+        for log in self._unchecked_blocks(rows, progress, "reading", self.columns_of_coefficients):
+            merged = with_all_columns(log.total, independent)
+            blocks.append(replace(log.map(lambda part: with_all_columns(part, independent)), merged=merged))
+        return tuple(blocks)
 
     def checked(self, data: Reduction) -> Reduction:
         """The training data, checked to have samples for every joint.

@@ -22,7 +22,7 @@ from idtool.estimation.dataset.blocks import merge_reductions
 from idtool.estimation.dataset.drawn_rows import DrawnRows, merged_draws
 from idtool.estimation.dataset.envelope import Envelope
 from idtool.estimation.dataset.extreme_rows import ExtremeRows
-from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge
+from idtool.estimation.dataset.reduction import Factor, Reduction, empty, merge, with_all_columns
 
 
 @dataclass
@@ -130,18 +130,11 @@ class ReducedPart:
         regrouped
             The model whose equation the part was reduced with.
         """
-
-        def restored(reduction: Reduction) -> Reduction:
-            factors = []
-            for joint, factor in enumerate(reduction):
-                factors.append(replace(factor, R=regrouped.all_columns(joint, factor.R)))
-            return tuple(factors)
-
         if self.blocks:
-            self.counted = restored(self.counted)  # merged before, with fewer columns
+            self.counted = with_all_columns(self.counted, regrouped)  # merged before, with fewer columns
         for number, block in self.blocks.items():
-            self.blocks[number] = restored(block)
-        self.excluded = restored(self.excluded)
+            self.blocks[number] = with_all_columns(block, regrouped)
+        self.excluded = with_all_columns(self.excluded, regrouped)
         self.extremes.rows = [regrouped.all_columns(joint, rows) for joint, rows in enumerate(self.extremes.rows)]
         drawn = [regrouped.all_columns(joint, rows.T).T for joint, rows in enumerate(self.drawn.rows)]
         self.drawn = replace(self.drawn, rows=tuple(drawn))

@@ -8,11 +8,12 @@ number.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.dynamics.regrouping import RegroupedModel
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Factor:
     Attributes
     ----------
     R
-        Factor of [Y_j, tau_j], shape (at most m_j + 1, m_j + 1); of a QR decomposition, a triangle.
+        Factor of [Y_j, tau_j], shape (at most m_j + 1, m_j + 1); a triangle, unless dependent columns were added.
     rows
         Number of rows that went into it; without contact forces, what they leave of rows counts as a share of one.
     independent
@@ -95,6 +96,22 @@ def reduce_blocks(blocks: Iterable[list[Array]], start: Reduction, redundancy: f
     for block in blocks:
         total = merge(total, tuple(Factor.from_columns(columns, redundancy) for columns in block))
     return total
+
+
+def with_all_columns(reduction: Reduction, regrouped: RegroupedModel) -> Reduction:
+    """The reduction with the columns of bodies that were left out.
+
+    Parameters
+    ----------
+    reduction
+        Of rows of the regrouped equation.
+    regrouped
+        The model without dependent columns.
+    """
+    factors = []
+    for joint, factor in enumerate(reduction):
+        factors.append(replace(factor, R=regrouped.all_columns(joint, factor.R)))
+    return tuple(factors)
 
 
 def _triangle(rows: Array) -> Array:
