@@ -124,7 +124,7 @@ class RigidBodies(Effect):
         for i, jacobian in enumerate(iterate_jacobians(self.model, motions)):
             body, body_motion, subset = self.model.bodies[i], motions[i], self._subsets[i]
             count = len(subset.indices)
-            D = _inertia_torque(body_motion)[:, _as_slice(subset.inertias)]
+            D = _inertia_torque(body_motion, subset.inertias)
             for first in range(0, len(jacobian.coordinates), at_once):
                 coordinates = jacobian.coordinates[first : first + at_once]
                 columns = buffer[: len(coordinates), :count]
@@ -234,16 +234,32 @@ def _parts(subset: ParameterSubset, columns: Array) -> tuple[Array, Array, Array
     return columns[:first_moment], columns[first_moment:first_inertia], columns[first_inertia:]
 
 
-def _inertia_torque(motion: BodyMotion) -> Array:
-    """Matrix D of I alpha + w × I w = D [I_xx, I_xy, I_yy, I_xz, I_yz, I_zz], shape (3, 6, N)."""
+def _inertia_torque(motion: BodyMotion, inertias: range) -> Array:
+    """Matrix D of I alpha + w × I w = D [I_xx, I_xy, I_yy, I_xz, I_yz, I_zz], shape (3, 6, N), or some of its columns.
+
+    Parameters
+    ----------
+    motion
+        The body's motion.
+    inertias
+        Indices of the columns.
+    """
     x, y, z = motion.w
     a, b, c = motion.alpha
     xy, yz, zx = x * y, y * z, z * x
     M = motion.M
-    D = np.empty((3, 6, len(x)))
-    np.stack((a, b - zx, -yz, c + xy, M[1, 1] - M[2, 2], yz), out=D[0])
-    np.stack((zx, a + yz, b, M[2, 2] - M[0, 0], c - xy, -zx), out=D[1])
-    np.stack((-xy, M[0, 0] - M[1, 1], xy, a - yz, b + zx, c), out=D[2])
+    columns: tuple[Callable[[], tuple[Array, Array, Array]], ...] = (
+        lambda: (a, zx, -xy),
+        lambda: (b - zx, a + yz, M[0, 0] - M[1, 1]),
+        lambda: (-yz, b, xy),
+        lambda: (c + xy, M[2, 2] - M[0, 0], a - yz),
+        lambda: (M[1, 1] - M[2, 2], c - xy, b + zx),
+        lambda: (yz, -zx, c),
+    )
+    D = np.empty((3, len(inertias), len(x)))
+    for i, column in enumerate(inertias):
+        for row, entries in zip(D, columns[column](), strict=True):
+            row[i] = entries
     return D
 
 

@@ -346,8 +346,8 @@ class Experiment:
 
         blocks = []
         for log in self._unchecked_blocks(rows, progress, "reading", self.columns_of_coefficients):
-            merged = with_all_columns(log.total, independent)
-            blocks.append(replace(log.map(lambda part: with_all_columns(part, independent)), merged=merged))
+            merged, *parts = with_all_columns([log.total, *log.parts], independent)
+            blocks.append(replace(log, parts=tuple(parts), merged=merged))
         return tuple(blocks)
 
     def checked(self, data: Reduction) -> Reduction:

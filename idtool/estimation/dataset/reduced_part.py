@@ -130,11 +130,12 @@ class ReducedPart:
         regrouped
             The model whose equation the part was reduced with.
         """
-        if self.blocks:
-            self.counted = with_all_columns(self.counted, regrouped)  # merged before, with fewer columns
-        for number, block in self.blocks.items():
-            self.blocks[number] = with_all_columns(block, regrouped)
-        self.excluded = with_all_columns(self.excluded, regrouped)
+        counted = [self.counted] if self.blocks else []  # merged with fewer columns, which is faster
+        reductions = [self.excluded, *self.blocks.values(), *counted]
+        self.excluded, *others = with_all_columns(reductions, regrouped)
+        self.blocks = dict(zip(self.blocks, others, strict=False))
+        if counted:
+            self.counted = others[-1]
         self.extremes.rows = [regrouped.all_columns(joint, rows) for joint, rows in enumerate(self.extremes.rows)]
         drawn = [regrouped.all_columns(joint, rows.T).T for joint, rows in enumerate(self.drawn.rows)]
         self.drawn = replace(self.drawn, rows=tuple(drawn))

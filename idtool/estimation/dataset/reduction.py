@@ -98,20 +98,23 @@ def reduce_blocks(blocks: Iterable[list[Array]], start: Reduction, redundancy: f
     return total
 
 
-def with_all_columns(reduction: Reduction, regrouped: RegroupedModel) -> Reduction:
-    """The reduction with the columns of bodies that were left out.
+def with_all_columns(reductions: Sequence[Reduction], regrouped: RegroupedModel) -> list[Reduction]:
+    """Reductions with the columns of bodies that were left out.
 
     Parameters
     ----------
-    reduction
+    reductions
         Of rows of the regrouped equation.
     regrouped
         The model without dependent columns.
     """
-    factors = []
-    for joint, factor in enumerate(reduction):
-        factors.append(replace(factor, R=regrouped.all_columns(joint, factor.R)))
-    return tuple(factors)
+    by_joint = []
+    for joint, factors in enumerate(zip(*reductions, strict=True)):
+        rows = regrouped.all_columns(joint, np.concatenate([factor.R for factor in factors]))
+        ends = np.cumsum([len(factor.R) for factor in factors])
+        own_rows = np.split(rows, ends[:-1])
+        by_joint.append([replace(factor, R=R) for factor, R in zip(factors, own_rows, strict=True)])
+    return list(zip(*by_joint, strict=True))
 
 
 def _triangle(rows: Array) -> Array:
