@@ -38,7 +38,7 @@ class ExtremeRows:
         self.extremes = np.full((len(widths), bins, ROWS_PER_BIN), np.inf)
         self.extremes[:, :, 1::2] = -np.inf
 
-    def add(self, joint: int, bins: Indices, rows: Array, quantities: Sequence[Array]) -> None:
+    def add(self, joint: int, bins: Indices, parts: Sequence[Array], quantities: Sequence[Array]) -> None:
         """Add rows of a joint.
 
         Parameters
@@ -47,8 +47,8 @@ class ExtremeRows:
             Index of the joint.
         bins
             The bin of each, ascending, shape (n,).
-        rows
-            Shape (width, n).
+        parts
+            The rows in parts, shape (w, n) each; their widths w add up to that of a row.
         quantities
             What they are chosen by, shape (n,) each.
         """
@@ -57,12 +57,16 @@ class ExtremeRows:
             if not len(known):
                 continue
             values = quantity[known]
-            own_bins, starts, counts = np.unique(bins[known], return_index=True, return_counts=True)
+            known_bins = bins[known]
+            starts = np.flatnonzero(np.diff(known_bins, prepend=-1))
+            own_bins, counts = known_bins[starts], np.diff(starts, append=len(known))
             for column, extreme in ((2 * i, np.minimum), (2 * i + 1, np.maximum)):
                 extremes = extreme.reduceat(values, starts)
                 places = np.flatnonzero(values == np.repeat(extremes, counts))
                 first_places = places[np.searchsorted(places, starts)]
-                self._replace(joint, column, own_bins, extremes, rows[:, known[first_places]].T)
+                chosen = known[first_places]
+                rows = np.concatenate([part[:, chosen] for part in parts]).T
+                self._replace(joint, column, own_bins, extremes, rows)
 
     def merge(self, other: ExtremeRows) -> None:
         """Add the rows of another."""

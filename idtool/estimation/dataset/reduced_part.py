@@ -188,10 +188,10 @@ class ReducedPart:
         self.rows += measured.shape[1]
         bins = self.posture.bins_of(times[::stride])
         for joint, active in enumerate(equation.active()):
-            drawn = np.concatenate([columns[joint], measured[None, joint]])
             Y, tau = columns[joint][:-1], columns[joint][-1]
             prior_residual = tau - prior[active] @ Y
-            self.extremes.add(joint, bins, drawn, (measured[joint], prior_residual))
+            parts = (columns[joint], measured[None, joint])
+            self.extremes.add(joint, bins, parts, (measured[joint], prior_residual))
         if series_rows:
             first = max((measured.shape[1] - series_rows) // 2, 0)
             kept = slice(first, first + series_rows)

@@ -52,7 +52,8 @@ class Factor:
     @classmethod
     def from_shares(cls, block: Array, shares: Array, redundancy: float = 1.0) -> Factor:
         """The factor of the samples that count, as many as the sum of their shares of a row, shape (n,)."""
-        factor = cls.from_columns(block[:, shares > 0], redundancy)
+        counts = shares > 0
+        factor = cls.from_columns(block if counts.all() else block[:, counts], redundancy)
         rows = float(shares.sum())
         return cls(factor.R, rows, rows / redundancy)
 
