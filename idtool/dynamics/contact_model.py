@@ -321,7 +321,7 @@ class ContactModel:
         """Rotation from the axes of the base to those of a body, shape (3, 3, N) or (3, 3, 1)."""
         base_to_body = np.eye(3)[:, :, None]
         while body >= 0:
-            base_to_body = np.einsum("ij...,jk...->ik...", base_to_body, motions[body].R)
+            base_to_body = np.einsum("ij...,jk...->ik...", base_to_body, motions[body].rotation.matrix)
             body = self.model.bodies[body].mount.body
         return base_to_body
 

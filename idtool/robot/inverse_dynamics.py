@@ -6,7 +6,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.robot.inertia import symmetric_matrix
-from idtool.robot.kinematics import BodyMotion, body_motions, cross, rotate
+from idtool.robot.kinematics import BodyMotion, body_motions, cross
 from idtool.robot.model import WRENCH_SIZE, RobotModel
 
 
@@ -38,9 +38,8 @@ def inverse_dynamics(model: RobotModel, pi: Array, q: Array, v: Array, a: Array)
         for joint in np.flatnonzero(body.ratios):
             torque[joint] += body.ratios[joint] * along_axis
         if body.mount.body >= 0:
-            to_parent = motion.R.transpose(1, 0, 2)
-            force = rotate(to_parent, force)
-            moment = rotate(to_parent, moment) + cross(motion.p, force)
+            force = motion.rotation.to_parent(force)
+            moment = motion.rotation.to_parent(moment) + cross(motion.p, force)
             parent_force, parent_moment = wrenches[body.mount.body]
             wrenches[body.mount.body] = parent_force + force, parent_moment + moment
     return torque
