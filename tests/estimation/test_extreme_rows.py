@@ -18,8 +18,8 @@ def test_rows_are_those_at_which_a_quantity_is_least_and_greatest() -> None:
     bins, rows, quantities = random_rows(np.random.default_rng(0))
     extremes = ExtremeRows([WIDTH], BINS)
     half = COUNT // 2
-    extremes.add(0, bins[:half], [rows[:, :half]], [quantity[:half] for quantity in quantities])
-    extremes.add(0, bins[half:], [rows[:, half:]], [quantity[half:] for quantity in quantities])
+    extremes.add(bins[:half], [[rows[:, :half]]], [quantity[None, :half] for quantity in quantities])
+    extremes.add(bins[half:], [[rows[:, half:]]], [quantity[None, half:] for quantity in quantities])
     for k in range(BINS - 1):
         own = np.flatnonzero(bins == k)
         for i, quantity in enumerate(quantities):
@@ -35,7 +35,7 @@ def test_unknown_values_are_passed_over() -> None:
     quantities[0][:5] = np.nan
     quantities[1][:] = np.nan
     extremes = ExtremeRows([WIDTH], BINS)
-    extremes.add(0, bins, [rows[:2], rows[2:]], quantities)
+    extremes.add(bins, [[rows[:2], rows[2:]]], [quantity[None] for quantity in quantities])
     own = np.flatnonzero((bins == 0) & np.isfinite(quantities[0]))
     np.testing.assert_array_equal(extremes.rows[0][0, 0], rows[:, own[quantities[0][own].argmin()]])
     assert np.isnan(extremes.rows[0][2, :2]).all()

@@ -163,7 +163,7 @@ def test_extreme_rows_are_those_of_all(samples: list[tuple[int, int, int]], cut:
     for piece in pieces:
         rows = ExtremeRows([3], BINS)
         x = np.array(piece, dtype=float).reshape(-1, 3).T
-        rows.add(0, x[0].astype(int), [x], (x[1], x[2]))
+        rows.add(x[0].astype(int), [[x]], (x[1:2], x[2:]))
         merged.merge(rows)
     for number in range(BINS):
         own = np.array([sample for sample in samples if sample[0] == number], dtype=float).reshape(-1, 3)

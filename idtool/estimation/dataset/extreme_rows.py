@@ -5,7 +5,7 @@ From them, curves of any model can be drawn: no spike of what they were chosen b
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -38,47 +38,51 @@ class ExtremeRows:
         self.extremes = np.full((len(widths), bins, ROWS_PER_BIN), np.inf)
         self.extremes[:, :, 1::2] = -np.inf
 
-    def add(self, joint: int, bins: Indices, parts: Sequence[Array], quantities: Sequence[Array]) -> None:
-        """Add rows of a joint.
+    def add(self, bins: Indices, rows: Sequence[Sequence[Array]], quantities: Sequence[Array]) -> None:
+        """Add rows of all joints.
 
         Parameters
         ----------
-        joint
-            Index of the joint.
         bins
-            The bin of each, ascending, shape (n,).
-        parts
-            The rows in parts, shape (w, n) each; their widths w add up to that of a row.
+            The bin of each of n samples, ascending, shape (n,).
+        rows
+            Per joint its rows in parts, shape (w, n) each; their widths w add up to that of a row.
         quantities
-            What they are chosen by, shape (n,) each.
+            What they are chosen by, shape (nv, n) each.
         """
+        if not len(bins):
+            return
+        starts = np.flatnonzero(np.diff(bins, prepend=-1))
+        own_bins, counts = bins[starts], np.diff(starts, append=len(bins))
         for i, quantity in enumerate(quantities):
-            known = np.flatnonzero(np.isfinite(quantity))
-            if not len(known):
-                continue
-            values = quantity[known]
-            known_bins = bins[known]
-            starts = np.flatnonzero(np.diff(known_bins, prepend=-1))
-            own_bins, counts = known_bins[starts], np.diff(starts, append=len(known))
-            for column, extreme in ((2 * i, np.minimum), (2 * i + 1, np.maximum)):
-                extremes = extreme.reduceat(values, starts)
-                places = np.flatnonzero(values == np.repeat(extremes, counts))
-                first_places = places[np.searchsorted(places, starts)]
-                chosen = known[first_places]
-                rows = np.concatenate([part[:, chosen] for part in parts]).T
-                self._replace(joint, column, own_bins, extremes, rows)
+            is_known = np.isfinite(quantity)
+            for column, extreme, unknown in ((2 * i, np.minimum, np.inf), (2 * i + 1, np.maximum, -np.inf)):
+                values = np.where(is_known, quantity, unknown)
+                extremes = extreme.reduceat(values, starts, axis=1)
+                is_extreme = values == np.repeat(extremes, counts, axis=1)
+                places = np.where(is_extreme, np.arange(len(bins)), len(bins))
+                first_places = np.minimum.reduceat(places, starts, axis=1)
+                for joint, chosen in self._more_extreme(column, own_bins, extremes):
+                    own_places = first_places[joint, chosen]
+                    own_rows = np.concatenate([part[:, own_places] for part in rows[joint]]).T
+                    self._replace(joint, column, own_bins[chosen], extremes[joint, chosen], own_rows)
 
     def merge(self, other: ExtremeRows) -> None:
         """Add the rows of another."""
         bins = np.arange(self.extremes.shape[1])
-        for joint, rows in enumerate(other.rows):
-            for column in range(ROWS_PER_BIN):
-                self._replace(joint, column, bins, other.extremes[joint, :, column], rows[:, column])
+        for column in range(ROWS_PER_BIN):
+            extremes = other.extremes[:, :, column]
+            for joint, chosen in self._more_extreme(column, bins, extremes):
+                self._replace(joint, column, chosen, extremes[joint, chosen], other.rows[joint][chosen, column])
+
+    def _more_extreme(self, column: int, bins: Indices, extremes: Array) -> Iterator[tuple[int, Indices]]:
+        """Joints, and the indices of those values, shape (nv, k), that are more extreme than those of their bins."""
+        present = self.extremes[:, bins, column]
+        is_more_extreme = extremes > present if column % 2 else extremes < present
+        for joint in np.flatnonzero(is_more_extreme.any(axis=1)).tolist():
+            yield joint, np.flatnonzero(is_more_extreme[joint])
 
     def _replace(self, joint: int, column: int, bins: Indices, extremes: Array, rows: Array) -> None:
-        """Take rows, shape (k, width), that are more extreme than those of their bins, shape (k,)."""
-        present = self.extremes[joint, bins, column]
-        is_more_extreme = extremes > present if column % 2 else extremes < present
-        chosen = bins[is_more_extreme]
-        self.extremes[joint, chosen, column] = extremes[is_more_extreme]
-        self.rows[joint][chosen, column] = rows[is_more_extreme]
+        """Replace the rows of some bins, shape (k, width), and what they were chosen by, shape (k,)."""
+        self.extremes[joint, bins, column] = extremes
+        self.rows[joint][bins, column] = rows

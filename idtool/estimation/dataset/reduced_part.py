@@ -187,11 +187,11 @@ class ReducedPart:
             above = _filtered(motion.logged_tau, batch, signals.anti_aliasing) - measured
         self.rows += measured.shape[1]
         bins = self.posture.bins_of(times[::stride])
-        for joint, active in enumerate(equation.active()):
-            Y, tau = columns[joint][:-1], columns[joint][-1]
-            prior_residual = tau - prior[active] @ Y
-            parts = (columns[joint], measured[None, joint])
-            self.extremes.add(joint, bins, parts, (measured[joint], prior_residual))
+        prior_residuals = []
+        for own, active in zip(columns, equation.active(), strict=True):
+            prior_residuals.append(own[-1] - prior[active] @ own[:-1])
+        parts = [(own, torque[None]) for own, torque in zip(columns, measured, strict=True)]
+        self.extremes.add(bins, parts, (measured, np.stack(prior_residuals)))
         if series_rows:
             first = max((measured.shape[1] - series_rows) // 2, 0)
             kept = slice(first, first + series_rows)
