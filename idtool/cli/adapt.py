@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import FURTHER_ANALYSIS, app
+from idtool.cli.app import app
 from idtool.cli.options import (
     ConfigOption,
     JsonOption,
@@ -20,9 +20,7 @@ from idtool.cli.options import (
 )
 
 
-@app.command(
-    "adapt", rich_help_panel=FURTHER_ANALYSIS, epilog="Example: idtool adapt leg.urdf run1.mcap --forgetting 10"
-)
+@app.command("adapt", epilog="Example: idtool adapt leg.urdf run1.mcap --forgetting 10")
 def adapt_command(
     urdf: UrdfArgument,
     logs: LogsArgument,

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import FURTHER_ANALYSIS, app
+from idtool.cli.app import app
 from idtool.cli.options import JsonOption, QuietOption, command_line, finish, output_folder
 
 _HELP = "Result of idtool fit: the folder that it wrote, or its report.json."
 
 
-@app.command("compare", rich_help_panel=FURTHER_ANALYSIS, epilog="Example: idtool compare leg_idtool other_leg_idtool")
+@app.command("compare", epilog="Example: idtool compare leg_idtool other_leg_idtool")
 def compare_command(
     a: Annotated[Path, typer.Argument(metavar="A", help=_HELP, show_default=False)],
     b: Annotated[Path, typer.Argument(metavar="B", help=_HELP, show_default=False)],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from idtool.cli.app import IDENTIFY_AND_CHECK, app
+from idtool.cli.app import app
 from idtool.cli.options import (
     REDUCTIONS,
     AgainstOption,
@@ -35,7 +35,6 @@ from idtool.cli.options import (
 
 @app.command(
     "diagnose",
-    rich_help_panel=IDENTIFY_AND_CHECK,
     epilog="Example: idtool diagnose leg.urdf run1.mcap run2.mcap --validate run3.mcap",
 )
 def diagnose_command(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from idtool.cli.app import FIRST_STEPS, app
+from idtool.cli.app import app
 from idtool.cli.options import ConfigOption, JsonOption, QuietOption, UrdfArgument, finish, output_file
 from idtool.common.exceptions import ConfigError
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 @app.command(
     "ellipsoids",
-    rich_help_panel=FIRST_STEPS,
     epilog="Example: idtool ellipsoids leg.urdf --check --repair leg_repaired.urdf",
 )
 def ellipsoids_command(

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import FIRST_STEPS, app
+from idtool.cli.app import app
 from idtool.cli.options import (
     LOG_TO_WRITE,
     ConfigOption,
@@ -49,7 +49,6 @@ def _check_two(explanations: tuple[str, str] | None) -> tuple[str, str] | None:
 
 @app.command(
     "excite",
-    rich_help_panel=FIRST_STEPS,
     epilog="Example: idtool excite leg.urdf --duration 30 --noise 0.1 --favour shank_link",
 )
 def excite_command(

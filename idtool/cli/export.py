@@ -7,11 +7,11 @@ from typing import Annotated, Literal
 
 import typer
 
-from idtool.cli.app import USE_THE_MODEL, app
+from idtool.cli.app import app
 from idtool.cli.options import JsonOption, QuietOption, finish, output_file
 
 
-@app.command("export", rich_help_panel=USE_THE_MODEL, epilog="Example: idtool export leg_idtool --to mujoco")
+@app.command("export", epilog="Example: idtool export leg_idtool --to mujoco")
 def export_command(
     folder: Annotated[
         Path,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from idtool.cli.app import IDENTIFY_AND_CHECK, app
+from idtool.cli.app import app
 from idtool.cli.options import (
     REDUCTIONS,
     ClusterOption,
@@ -32,7 +32,6 @@ from idtool.cli.options import (
 
 @app.command(
     "fit",
-    rich_help_panel=IDENTIFY_AND_CHECK,
     epilog="Example: idtool fit leg.urdf run1.mcap run2.mcap --validate run3.mcap",
 )
 def fit_command(

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import FIRST_STEPS, app
+from idtool.cli.app import app
 from idtool.cli.options import JsonOption, LogsArgument, QuietOption, UrdfArgument, finish, output_file
 
 
-@app.command("init", rich_help_panel=FIRST_STEPS, epilog="Example: idtool init leg.urdf run1.mcap run2.mcap")
+@app.command("init", epilog="Example: idtool init leg.urdf run1.mcap run2.mcap")
 def init_command(
     urdf: UrdfArgument,
     logs: LogsArgument,

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import FIRST_STEPS, app
+from idtool.cli.app import app
 from idtool.cli.options import LOG_FORMATS, JsonOption, QuietOption, finish, log_path_or_url
 
 
-@app.command("inspect", rich_help_panel=FIRST_STEPS, epilog="Example: idtool inspect run1.mcap")
+@app.command("inspect", epilog="Example: idtool inspect run1.mcap")
 def inspect_command(
     log: Annotated[
         Path,

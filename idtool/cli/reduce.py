@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import IDENTIFY_AND_CHECK, app
+from idtool.cli.app import app
 from idtool.cli.options import (
     REDUCTIONS,
     ClusterOption,
@@ -39,7 +39,6 @@ ReductionOption = Annotated[
 
 @app.command(
     "reduce",
-    rich_help_panel=IDENTIFY_AND_CHECK,
     epilog="Example: idtool reduce leg.urdf run1.mcap run2.mcap --out runs.idr",
 )
 def reduce_command(

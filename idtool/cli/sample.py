@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import FIRST_STEPS, app
+from idtool.cli.app import app
 from idtool.cli.options import JsonOption, QuietOption, finish
 from idtool.common.samples import FOLDER, SampleName
 
 
-@app.command("sample", rich_help_panel=FIRST_STEPS, epilog="Example: idtool sample leg")
+@app.command("sample", epilog="Example: idtool sample leg")
 def sample_command(
     name: Annotated[SampleName, typer.Argument(help="Which sample.", metavar="NAME", show_default=False)],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write to.")] = Path(FOLDER),

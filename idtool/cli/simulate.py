@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import USE_THE_MODEL, app
+from idtool.cli.app import app
 from idtool.cli.options import (
     LOG_FORMATS,
     LOG_TO_WRITE,
@@ -58,9 +58,7 @@ TrackOption = Annotated[
 ]
 
 
-@app.command(
-    "simulate", rich_help_panel=USE_THE_MODEL, epilog="Example: idtool simulate leg_idtool/identified.urdf run3.mcap"
-)
+@app.command("simulate", epilog="Example: idtool simulate leg_idtool/identified.urdf run3.mcap")
 def simulate_command(
     urdf: UrdfArgument,
     log: LogArgument = None,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from idtool.cli.app import FURTHER_ANALYSIS, app
+from idtool.cli.app import app
 from idtool.cli.options import (
     REDUCTIONS,
     ClusterOption,
@@ -27,9 +27,7 @@ from idtool.cli.options import (
 )
 
 
-@app.command(
-    "study", rich_help_panel=FURTHER_ANALYSIS, epilog="Example: idtool study leg.urdf run1.mcap --validate run2.mcap"
-)
+@app.command("study", epilog="Example: idtool study leg.urdf run1.mcap --validate run2.mcap")
 def study_command(
     urdf: UrdfArgument,
     logs: LogsArgument,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from idtool.cli.app import IDENTIFY_AND_CHECK, app
+from idtool.cli.app import app
 from idtool.cli.options import (
     LOG_FORMATS,
     REDUCTIONS,
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 
 @app.command(
     "validate",
-    rich_help_panel=IDENTIFY_AND_CHECK,
     epilog="Example: idtool validate leg_idtool/identified.urdf run3.mcap --prior leg.urdf",
 )
 def validate_command(
