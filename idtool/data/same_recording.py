@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices
+from idtool.common.arrays import Array
 from idtool.data.logs.log import SIGNALS, JointLog
 from idtool.data.logs.stored_arrays import blocks_of, column_ranges, release_pages
 
@@ -58,42 +58,60 @@ class _Recording:
         self.log = log
         # Hashes of its files; the metadata of a bag have no samples.
         self._hashes = [source.sha256 for source in log.sources if source.kind == "log"]
-        self._spans: dict[str, Array] = {}
+        self._columns: dict[str, dict[str, int]] = {}
+        self._some_rows: dict[str, Array] = {}
+        self._tolerances: dict[str, Array] = {}
 
     def is_same(self, other: _Recording) -> bool:
         """True if another log holds the same recording; see `is_same_recording`."""
-        log, other_log = self.log, other.log
         if self._hashes and self._hashes == other._hashes:
             return True
-        if len(log) != len(other_log):
+        if len(self.log) != len(other.log):
             return False
-        joints = [name for name in log.joints if log.has("q", name) and other_log.has("q", name)]
-        if not joints:
-            return False
-        return all(self._is_same_signal(other_log, signal, joints) for signal in SIGNALS)
+        joints = self._common(other, "q")
+        return bool(joints) and all(self._is_same_signal(other, signal, joints) for signal in SIGNALS)
 
-    def _is_same_signal(self, other: JointLog, signal: str, joints: Sequence[str]) -> bool:
+    def _common(self, other: _Recording, signal: str) -> list[str]:
+        """Joints that have values of a signal in both logs."""
+        others = other._joint_columns(signal)
+        return [name for name in self._joint_columns(signal) if name in others]
+
+    def _joint_columns(self, signal: str) -> dict[str, int]:
+        """Column of each joint that has values of a signal."""
+        if signal not in self._columns:
+            names = self.log.joints
+            self._columns[signal] = {name: i for i, name in enumerate(names) if self.log.has(signal, name)}
+        return self._columns[signal]
+
+    def _is_same_signal(self, other: _Recording, signal: str, joints: Sequence[str]) -> bool:
         """True if a signal of joints is the same in another log of the same length, or missing in one of them."""
-        common = [name for name in joints if self.log.has(signal, name) and other.has(signal, name)]
+        common = [name for name in self._common(other, signal) if name in joints]
         if not common:
             return True
-        x, y = self.log.signals[signal], other.signals[signal]
-        x_columns = [self.log.joints.index(name) for name in common]
-        y_columns = [other.joints.index(name) for name in common]
-        tolerance = np.maximum(_TOLERANCE * self._span(signal)[x_columns], _MIN_TOLERANCE)
+        own_columns = [self._joint_columns(signal)[name] for name in common]
+        other_columns = [other._joint_columns(signal)[name] for name in common]
+        tolerance = self._tolerance(signal)[own_columns]
 
-        def is_same(rows: slice | Indices) -> bool:
-            own, others = x[rows][:, x_columns], y[rows][:, y_columns]
+        def is_same(own: Array, others: Array) -> bool:
+            own, others = own[:, own_columns], others[:, other_columns]
             return bool(np.isclose(own, others, rtol=0.0, atol=tolerance, equal_nan=True).all())
 
-        some_rows = np.linspace(0, len(x) - 1, _FIRST_ROWS).astype(int)  # at which most logs differ
-        may_be_same = is_same(some_rows)
-        release_pages([x, y])
-        return may_be_same and all(map(is_same, blocks_of([x, y], len(x))))
+        if not is_same(self._rows_looked_at_first(signal), other._rows_looked_at_first(signal)):
+            return False
+        x, y = self.log.signals[signal], other.log.signals[signal]
+        return all(is_same(x[rows], y[rows]) for rows in blocks_of([x, y], len(x)))
 
-    def _span(self, signal: str) -> Array:
-        """Range of a signal of each joint, shape (nj,)."""
-        if signal not in self._spans:
+    def _rows_looked_at_first(self, signal: str) -> Array:
+        """A few samples of a signal, at which most logs differ, shape (`_FIRST_ROWS`, nj)."""
+        if signal not in self._some_rows:
+            x = self.log.signals[signal]
+            self._some_rows[signal] = x[np.linspace(0, len(x) - 1, _FIRST_ROWS).astype(int)]
+            release_pages([x])
+        return self._some_rows[signal]
+
+    def _tolerance(self, signal: str) -> Array:
+        """Largest difference of a signal from the same one in another log, shape (nj,)."""
+        if signal not in self._tolerances:
             least, greatest = column_ranges(self.log.signals[signal])
-            self._spans[signal] = greatest - least
-        return self._spans[signal]
+            self._tolerances[signal] = np.maximum(_TOLERANCE * (greatest - least), _MIN_TOLERANCE)
+        return self._tolerances[signal]

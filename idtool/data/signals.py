@@ -15,6 +15,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -258,8 +259,8 @@ class Signals:
         self.controller = JointController.from_log(log, self.joints, config.controller)
         self._margin = (self._wide.reach if self._wide else 0) + 2 * DIFFERENCE_REACH
         self.lag = self.channels.lag
-        self.velocity_from_position = self._choose_velocity(config)
         self.ranges = self._ranges()
+        self.velocity_from_position = self._choose_velocity(config)
         self._note_velocity_errors()
         self.velocity_deadband = self._measure_deadband()
 
@@ -299,13 +300,24 @@ class Signals:
             advice = "use the time at which a sample is taken as its time stamp, not the time at which it is written"
             self.notices.append(Notice("time_jitter", "warning", None, message, advice))
             return np.asarray(missing | unrelated)
-        part = self.channels.longest_stretch(self._ranges())
-        _, differentiated, _ = self._kinematics(part, np.ones_like(missing))
-        _, measured, _ = self._kinematics(part, missing)
-        differentiated_noise = noise_above_band(differentiated, self.full_rate_low_pass)
-        measured_noise = noise_above_band(measured, self.full_rate_low_pass)
-        is_noisy = measured_noise > _MAX_NOISE_RATIO * differentiated_noise
+        is_noisy = self._measured_velocity_noise > _MAX_NOISE_RATIO * self._differentiated_velocity_noise
         return np.asarray(missing | unrelated | is_noisy)
+
+    @cached_property
+    def _differentiated_velocity_noise(self) -> Array:
+        """Noise above the band of the velocity that is differentiated from q, shape (nv,) [rad/s or m/s]."""
+        return self._velocity_noise(np.ones_like(self.channels.has_velocity))
+
+    @cached_property
+    def _measured_velocity_noise(self) -> Array:
+        """Noise above the band of the measured velocity, of the other where it is missing, shape (nv,)."""
+        return self._velocity_noise(~self.channels.has_velocity)
+
+    def _velocity_noise(self, from_position: Mask) -> Array:
+        """Noise above the band of the velocity, differentiated from q for some joints, shape (nv,)."""
+        part = self.channels.longest_stretch(self.ranges)
+        _, v, _ = self._kinematics(part, from_position)
+        return noise_above_band(v, self.full_rate_low_pass)
 
     def _note(self, notice: Notice, mask: Mask) -> None:
         """Add a notice about some of the joints, if any, with their names."""
@@ -349,9 +361,10 @@ class Signals:
         return long_enough
 
     def _measure_deadband(self) -> Array:
-        part = self.channels.longest_stretch(self.ranges)
-        _, v, _ = self._kinematics(part, self.velocity_from_position)
-        noise = noise_above_band(v, self.full_rate_low_pass)
+        from_position = self.velocity_from_position
+        noise = self._differentiated_velocity_noise if from_position.any() else self._measured_velocity_noise
+        if not from_position.all():
+            noise = np.where(from_position, noise, self._measured_velocity_noise)
         return np.asarray(np.maximum(_MIN_DEADBAND, _DEADBAND_FACTOR * noise))
 
     def delayed_ranges(self, delay: float, parts: Sequence[slice]) -> list[slice]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from robots import random_urdf
 from synthetic import Synthetic, point_parameters, synthetic
 
+from idtool.common.processes import no_progress
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
 from idtool.estimation.dataset.reduction import Factor, Reduction
 from idtool.estimation.uncertainty.base_parameters import BaseParameters, structural_base_parameters
@@ -59,7 +60,9 @@ class Arm:
     def compared(self, data: Sequence[Blocks], theta: Array | None = None) -> Repeatability:
         start = self.s.theta if theta is None else theta
         rng = np.random.default_rng(0)
-        return repeatability(self.s.linear, data, SIGMA, start, self.s.equalities, self.base, self.alone, rng)
+        return repeatability(
+            self.s.linear, data, SIGMA, start, self.s.equalities, self.base, self.alone, rng, no_progress
+        )
 
     def rows(self, data: Reduction) -> tuple[Array, Array]:
         """In units of the noise."""

@@ -14,6 +14,7 @@ from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.number_text import short_number
 from idtool.common.provenance import InputFile
+from idtool.common.threads import in_threads
 from idtool.data.base_sensors import POSE, BaseSensors, needed_channels, sensor_options
 from idtool.data.batches import Batches
 from idtool.data.contact_channels import ContactChannels
@@ -503,9 +504,15 @@ def prepare(
     config, notices = with_cutoff_for_logs(config, every)
     model = replace(model, notices=(*model.notices, *notices))
     shares = [0.0 if validate else holdout] * len(fitted) + [1.0] * len(validated)
+
+    def named_signals(pair: tuple[JointLog, str]) -> Signals:
+        log, name = pair
+        return signals_of(log, model, config, name)
+
+    samples = sum(map(len, every)) * len(model.joints)
+    of_logs = in_threads(named_signals, list(zip(every, names, strict=True)), samples)
     runs = []
-    for log, name, share, limits in zip(every, names, shares, beyond_limits, strict=True):
-        signals = signals_of(log, model, config, name)
+    for signals, share, limits in zip(of_logs, shares, beyond_limits, strict=True):
         notices = [limits] if limits is not None else _signal_notices(signals, model, config)
         comparison_notices += notices
         signals.notices += notices

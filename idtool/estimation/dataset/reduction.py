@@ -75,7 +75,12 @@ class Factor:
 
     def squared_error(self, theta: Array) -> float:
         """Sum of squared residuals ‖Y_j theta − tau_j‖² for the joint's m_j coefficients [(N·m)²]."""
-        return float(np.square(self.R @ np.append(theta, -1.0)).sum())
+        return float(self.squared_errors(theta[None])[0])
+
+    def squared_errors(self, thetas: Array) -> Array:
+        """Sums of squared residuals of several models, shape (models, m_j) to (models,) [(N·m)²]."""
+        residuals = thetas @ self.R[:, :-1].T - self.R[:, -1]
+        return np.asarray(np.square(residuals).sum(axis=1))
 
 
 Reduction = tuple[Factor, ...]  # one per joint

@@ -44,7 +44,7 @@ def has_offset(model: RobotModel, equation: LinearModel, index: int) -> bool:
 
 
 def with_offsets_of(equation: LinearModel, data: Reduction, noise: Array, theta: Array) -> Array:
-    """Coefficients with the offsets of wrench sensors that leave least of the errors on some data, shape (p,).
+    """Coefficients with the offsets of wrench sensors that leave least of the errors on some data, shape (..., p).
 
     Offsets that the data do not contain, such as those of other logs, remain.
 
@@ -57,7 +57,7 @@ def with_offsets_of(equation: LinearModel, data: Reduction, noise: Array, theta:
     noise
         Residual noise of every row, shape (nv,).
     theta
-        Coefficients, shape (p,).
+        Coefficients, shape (..., p).
     """
     indices = [
         i
@@ -68,7 +68,7 @@ def with_offsets_of(equation: LinearModel, data: Reduction, noise: Array, theta:
     if not indices:
         return theta
     rows = weighted_rows(equation, data, noise)
-    errors = rows @ np.append(theta, -1.0)
+    errors = theta @ rows[:, :-1].T - rows[:, -1]
     changed = theta.copy()
-    changed[indices] -= np.linalg.lstsq(rows[:, indices], errors, rcond=None)[0]
+    changed[..., indices] -= np.linalg.lstsq(rows[:, indices], errors.T, rcond=None)[0].T
     return changed

@@ -161,7 +161,6 @@ def uncertainty_analysis(
         if pair is not None:
             bias = bias_check(pair, parameters.base)
         if len(data) > 1 and experiment.config.pool is None:  # a fleet's logs differ by its robots' friction
-            progress("comparing logs", 0.0)
             logs = repeatability(
                 equation,
                 data,
@@ -171,6 +170,7 @@ def uncertainty_analysis(
                 parameters.base,
                 identification.theta_from,
                 rng,
+                progress,
             )
 
     notices = (

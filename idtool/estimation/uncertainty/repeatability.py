@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.processes import Progress, shared_among_processes
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
@@ -79,6 +80,7 @@ def repeatability(
     base: BaseParameters,
     theta_from: Callable[[Reduction], Array],
     rng: np.random.Generator,
+    progress: Progress,
 ) -> Repeatability:
     """Compare logs.
 
@@ -94,7 +96,15 @@ def repeatability(
         Identification from some of the data, with prior and constraints: the coefficients, shape (p,).
     rng
         Source of the bootstrap's weights.
+    progress
+        Callback for the stage and its progress, from 0 to 1.
     """
+
+    def theta_of_log(index: int, progress: Progress) -> Array:
+        progress("comparing logs", index / len(data))
+        return theta_from(data[index].total)
+
+    thetas = np.stack(shared_among_processes(theta_of_log, range(len(data)), progress))
     estimates = [cluster_robust_estimate(equation, [log], noise, theta, equalities, rng) for log in data]
     error = np.column_stack([estimate.uncertainty.of(base.B) for estimate in estimates])
     value = np.column_stack([base.B @ estimate.theta for estimate in estimates])
@@ -108,7 +118,7 @@ def repeatability(
         ratio=birge_ratio(value, error),
         agrees=~differs,
         outlier=_outlier(value[differs], error[differs]),
-        cross_error=_cross_error(equation, data, noise, [theta_from(log.total) for log in data]),
+        cross_error=_cross_error(equation, data, noise, thetas),
     )
 
 
@@ -129,16 +139,16 @@ def _outlier(value: Array, error: Array) -> int | None:
     return least if without[least] < _OUTLIER * disagreement(list(range(logs))) else None
 
 
-def _cross_error(equation: LinearModel, data: Sequence[Blocks], noise: Array, models: Sequence[Array]) -> Array:
-    """Each model's error on each log, in units of the joints' noise, shape (models, logs)."""
-    errors = np.zeros((len(models), len(data)))
+def _cross_error(equation: LinearModel, data: Sequence[Blocks], noise: Array, thetas: Array) -> Array:
+    """Error of each model, with coefficients of shape (models, p), on each log, in units of the joints' noise.
+
+    Shape (models, logs).
+    """
+    errors = np.zeros((len(thetas), len(data)))
     for column, log in enumerate(data):
-        for row, model in enumerate(models):
-            theta = with_offsets_of(equation, log.total, noise, model)
-            joints = zip(log.total, equation.active(), noise, strict=True)
-            means = [
-                factor.squared_error(theta[columns]) / max(factor.rows, 1) / sigma**2
-                for factor, columns, sigma in joints
-            ]
-            errors[row, column] = np.sqrt(np.mean(means))
+        with_offsets = with_offsets_of(equation, log.total, noise, thetas)
+        squares = np.zeros(len(thetas))
+        for factor, active, sigma in zip(log.total, equation.active(), noise.tolist(), strict=True):
+            squares += factor.squared_errors(with_offsets[:, active]) / max(factor.rows, 1) / sigma**2
+        errors[:, column] = np.sqrt(squares / len(log.total))
     return errors
