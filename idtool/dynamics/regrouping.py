@@ -8,14 +8,15 @@ so does, on a prismatic joint, any inertia without mass. Its columns in both bod
 n the rod's parameters and X their transform to the carrier's frame. This makes some columns of the body combinations of
 its others and of the carrier's: three of a revolute joint's ten, six of a prismatic one's. On a carrier that stands
 still, columns of zero and multiples of one another come on top (Gautier & Khalil, Direct calculation of minimum set of
-inertial parameters of serial robots, 1990). With what is left,
+inertial parameters of serial robots, 1990). The other columns are kept, and with the parameters of rods regrouped with
+those of their carriers
 
-    Y theta = Y_left beta,  beta = B theta,
+    Y theta = Y_kept beta
 
-exactly: the rods' parameters are regrouped with those of their carriers. An R-factor of [Y_left, tau] therefore holds
-all that one of [Y, tau] does, for less work: columns that are left out need not be evaluated, filtered and decomposed.
+exactly. An R-factor of [Y_kept, tau] therefore holds all that one of [Y, tau] does, for less work: columns that are not
+kept need not be evaluated, filtered and decomposed.
 
-Letters: p coefficients theta; r of them left, with the regrouped values beta.
+Letters: p coefficients theta; r of them kept, with the regrouped values beta; of joint j, m_j and r_j.
 """
 
 from __future__ import annotations
@@ -41,18 +42,18 @@ class RegroupedBody:
 
     Attributes
     ----------
-    left, dependent
-        Indices of its parameters whose columns are left, shape (l,), and of the others, shape (d,).
+    kept, dependent
+        Indices of its parameters whose columns are kept, shape (k,), and of the others, shape (d,).
     carrier
         Index of the body that carries it; −1: it stands still, and has no columns.
-    of_left, of_carrier
-        The dependent columns as combinations of those left, shape (l, d), and of the carrier's, shape (10, d).
+    of_kept, of_carrier
+        The dependent columns as combinations of those kept, shape (k, d), and of the carrier's, shape (10, d).
     """
 
-    left: Indices
+    kept: Indices
     dependent: Indices
     carrier: int
-    of_left: Array
+    of_kept: Array
     of_carrier: Array
 
 
@@ -63,54 +64,54 @@ class RegroupedModel:
     Attributes
     ----------
     equation
-        The equation of the columns that are left, with the coefficients beta.
+        The equation of the columns that are kept, with the coefficients beta.
     complete
         The equation with all columns.
     bodies
-        Its bodies, in their order; none: no column is left out.
+        Its bodies, in their order; none: all columns are kept.
     """
 
     equation: LinearModel
     complete: LinearModel
     bodies: tuple[RegroupedBody, ...]
 
-    def all_columns(self, joint: int, left: Array) -> Array:
-        """All columns of a joint from those that are left.
+    def all_columns(self, joint: int, kept: Array) -> Array:
+        """All columns of a joint from those that are kept.
 
         Parameters
         ----------
         joint
             Index of the joint.
-        left
-            Rows of the columns that are left and of further ones, such as the torque, shape (..., r_j + k).
+        kept
+            Rows of the columns that are kept and of further ones, such as the torque, shape (..., r_j + n).
 
         Returns
         -------
-        Shape (..., m_j + k).
+        Shape (..., m_j + n).
         """
         if not self.bodies:
-            return left
+            return kept
         active = self.complete.active()[joint]
         is_body = active < PI_SIZE * len(self.bodies)
         own_bodies = np.unique(active[is_body] // PI_SIZE).tolist()
-        columns = np.empty((*left.shape[:-1], PI_SIZE * len(own_bodies)))
+        columns = np.empty((*kept.shape[:-1], PI_SIZE * len(own_bodies)))
         by_body: dict[int, Array] = {}
         first = 0
         for position, i in enumerate(own_bodies):
             body = self.bodies[i]
             own = columns[..., PI_SIZE * position : PI_SIZE * (position + 1)]
-            own_left = left[..., first : first + len(body.left)]
-            own[..., body.left] = own_left
-            dependent = own_left @ body.of_left
+            own_kept = kept[..., first : first + len(body.kept)]
+            own[..., body.kept] = own_kept
+            dependent = own_kept @ body.of_kept
             if body.carrier in by_body:
                 dependent += by_body[body.carrier] @ body.of_carrier
             own[..., body.dependent] = dependent
             by_body[i] = own
-            first += len(body.left)
-        return np.concatenate([columns, left[..., first:]], axis=-1)
+            first += len(body.kept)
+        return np.concatenate([columns, kept[..., first:]], axis=-1)
 
     def regrouped_values(self, theta: Array) -> Array:
-        """Coefficients beta of the columns that are left, shape (r,), from those of all columns, shape (p,)."""
+        """Coefficients beta of the columns that are kept, shape (r,), from those of all columns, shape (p,)."""
         if not self.bodies:
             return theta
         count = PI_SIZE * len(self.bodies)
@@ -118,7 +119,7 @@ class RegroupedModel:
         values = [theta[count:]]
         for own, body in zip(by_body[::-1], self.bodies[::-1], strict=True):  # before what carries it
             dependent = own[body.dependent]
-            values.append(own[body.left] + body.of_left @ dependent)
+            values.append(own[body.kept] + body.of_kept @ dependent)
             if body.carrier >= 0:
                 by_body[body.carrier] += body.of_carrier @ dependent
         return np.concatenate(values[::-1])
@@ -138,17 +139,17 @@ def regrouped(equation: LinearModel) -> RegroupedModel:
 
 
 def _regrouped_body(body: Body, subset: ParameterSubset) -> RegroupedBody:
-    """A body's dependent columns, if the columns of a subset of its parameters are left."""
-    left = subset.indices
-    dependent = np.setdiff1d(np.arange(PI_SIZE), left)
+    """A body's dependent columns, if those of a subset of its parameters are kept."""
+    kept = subset.indices
+    dependent = np.setdiff1d(np.arange(PI_SIZE), kept)
     basis = _parameters_of_carrier(body)
     rods = basis @ np.linalg.inv(basis[dependent])  # each has one of the dependent parameters, which is 1
     in_carrier = parameter_transform(body.mount.R, body.mount.p) @ rods
-    return RegroupedBody(left, dependent, body.mount.body, -rods[left], in_carrier)
+    return RegroupedBody(kept, dependent, body.mount.body, -rods[kept], in_carrier)
 
 
 def _independent_parameters(body: Body) -> ParameterSubset:
-    """Parameters of a body whose columns are left; the dependent ones are those that the rod has most of."""
+    """Parameters of a body whose columns are kept; the others are those that the rod has most of."""
     if body.first_free_coordinate is not None:
         return ALL_PARAMETERS
     is_grounded = body.mount.body < 0

@@ -1,4 +1,4 @@
-"""Dependent columns of bodies: a theorem, on random trees with rotors, and what it leaves to evaluate."""
+"""Dependent columns of bodies: a theorem, on random trees with rotors, and what is kept."""
 
 from __future__ import annotations
 
@@ -34,26 +34,26 @@ def random_model(seed: int, robot_of: ReadRobot) -> tuple[RobotModel, LinearMode
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_columns_that_are_left_give_all(seed: int, robot_of: ReadRobot) -> None:
+def test_columns_that_are_kept_give_all(seed: int, robot_of: ReadRobot) -> None:
     model, equation = random_model(seed, robot_of)
-    base = regrouped(equation)
-    assert len(base.equation.coefficients) < len(equation.coefficients)
+    kept_model = regrouped(equation)
+    assert len(kept_model.equation.coefficients) < len(equation.coefficients)
     motion = random_motion(np.random.default_rng(seed), len(model.names), 8)
-    left_columns = base.equation.columns(motion)
+    kept_columns = kept_model.equation.columns(motion)
     for i, expected in enumerate(equation.columns(motion)):
-        restored = base.all_columns(i, left_columns[i].T).T
+        restored = kept_model.all_columns(i, kept_columns[i].T).T
         np.testing.assert_allclose(restored, expected, rtol=0, atol=1e-12 * max(1, np.abs(expected).max()))
 
 
 @pytest.mark.parametrize("seed", range(24))
 def test_regrouped_values_give_the_same_torque(seed: int, robot_of: ReadRobot) -> None:
     model, equation = random_model(seed, robot_of)
-    base = regrouped(equation)
+    kept_model = regrouped(equation)
     rng = np.random.default_rng(seed)
     motion = random_motion(rng, len(model.names), 8)
     theta = equation.prior * rng.uniform(0.5, 1.5, len(equation.prior))
     expected = equation.torque(motion, theta)
-    torque = base.equation.torque(motion, base.regrouped_values(theta))
+    torque = kept_model.equation.torque(motion, kept_model.regrouped_values(theta))
     np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-12 * max(1, np.abs(expected).max()))
 
 

@@ -54,11 +54,13 @@ def test_torque_is_that_of_pinocchio(tmp_path: Path, rng: np.random.Generator) -
     assert len(bodies.active[12]) == PI_SIZE * len(model.bodies)
 
     equation = LinearModel(model.names, (bodies,))
-    base = regrouped(equation)
-    by_regrouped = base.equation.torque(motion, base.regrouped_values(pi.ravel()))
+    kept = regrouped(equation)
+    by_regrouped = kept.equation.torque(motion, kept.regrouped_values(pi.ravel()))
     np.testing.assert_allclose(by_regrouped, expected, atol=1e-10)
-    for i, (left, all_columns) in enumerate(zip(base.equation.columns(motion), equation.columns(motion), strict=True)):
-        np.testing.assert_allclose(base.all_columns(i, left.T).T, all_columns, atol=1e-10)
+    for i, (columns_kept, all_columns) in enumerate(
+        zip(kept.equation.columns(motion), equation.columns(motion), strict=True)
+    ):
+        np.testing.assert_allclose(kept.all_columns(i, columns_kept.T).T, all_columns, atol=1e-10)
 
 
 @pytest.mark.parametrize(
