@@ -110,6 +110,20 @@ def test_standard_errors_of_the_torque_are_those_of_all_rows(
     np.testing.assert_array_equal(own.unknown, exact.unknown)
 
 
+def test_standard_errors_of_the_torque_do_not_depend_on_the_prior_of_the_reduction(experiment: Experiment) -> None:
+    reduced = reduce_logs(experiment, silent)
+    noise = np.ones(len(experiment.equation.joints))
+    data = experiment.reduce(silent)
+    uncertainty = least_squares_uncertainty(experiment.equation, data, noise, experiment.equalities)
+    before = reduced_prediction(experiment.equation, reduced, uncertainty, False)
+    for log in reduced:
+        for rows in log.train[0].extremes.rows:
+            rows[:, 2:, :-2] *= 10  # those that the prior's error chose
+    after = reduced_prediction(experiment.equation, reduced, uncertainty, False)
+    for name in ("rms", "largest", "unknown"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+
+
 def test_curves_hold_the_extremes_of_torque_and_prior_error(
     experiment: Experiment, reduced: Sequence[ReducedLog], models: dict[str, Array]
 ) -> None:

@@ -13,6 +13,7 @@ from idtool.common.arrays import Array, Indices
 
 QUANTITIES = 2  # that rows are chosen by: the measured torque, and the error of the model before the fit
 ROWS_PER_BIN = 2 * QUANTITIES  # where each is least and greatest
+BY_MEASURED_TORQUE = slice(2)  # of these, the ones that do not depend on a model
 
 
 class ExtremeRows:

@@ -10,6 +10,7 @@ import numpy as np
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
+from idtool.estimation.dataset.extreme_rows import BY_MEASURED_TORQUE
 from idtool.estimation.dataset.reduced_logs import ReducedLog
 from idtool.estimation.uncertainty.standard_errors import Uncertainty
 
@@ -63,7 +64,8 @@ def reduced_prediction(
 ) -> Prediction:
     """Compute the predicted torque's standard error from reduced logs.
 
-    The root mean square is that of all rows, unless it is unknown at some of them; the rest is that of extreme rows.
+    The root mean square is that of all rows, unless it is unknown at some of them; the rest is that of the rows with
+    the least and greatest measured torque, whatever the prior was when the logs were reduced.
 
     Parameters
     ----------
@@ -82,7 +84,7 @@ def reduced_prediction(
         for j, (factor, drawn, columns) in enumerate(
             zip(part.comparison, part.extremes.rows, equation.active(), strict=True)
         ):
-            rows = drawn[..., :-2].reshape(drawn.shape[0] * drawn.shape[1], len(columns))
+            rows = drawn[:, BY_MEASURED_TORQUE, :-2].reshape(-1, len(columns))
             rows = rows[np.isfinite(rows).all(axis=1)]
             variance, is_known = errors.variances(rows, columns)
             share_known = np.count_nonzero(is_known) / max(len(rows), 1)
