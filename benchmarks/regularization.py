@@ -155,7 +155,7 @@ class ReducedExperiment(Experiment):
     @staticmethod
     def reduced_from(e: Experiment) -> ReducedExperiment:
         """Reduce the logs of an experiment."""
-        blocks = e.blocks(e.rows, silent)
+        blocks = e.reduce_in_blocks(silent)
         validation = tuple(held_out(replace(e, runs=(run,)), silent) for run in e.runs if run.held_out)
         return ReducedExperiment(e.config, e.model, e.equation, e.equalities, e.runs, blocks, validation)
 

@@ -230,7 +230,7 @@ def test_factors_with_instruments_take_the_memory_that_is_expected(
             taken += sum(factor.R.nbytes for factor in part)
     assert bias.factor_bytes(used) == pytest.approx(taken, rel=0.05)
     assert taken < 1.2 * memory
-    plain = used.blocks(used.rows, silent)
+    plain = used.reduce_in_blocks(silent)
     is_bounded = memory == 1 << 20
     assert (sum(map(len, data)) < sum(map(len, plain))) == is_bounded
 

@@ -84,7 +84,8 @@ def reduced_prediction(
         for j, (factor, drawn, columns) in enumerate(
             zip(part.comparison, part.extremes.rows, equation.active(), strict=True)
         ):
-            rows = drawn[:, BY_MEASURED_TORQUE, :-2].reshape(-1, len(columns))
+            chosen = drawn[:, BY_MEASURED_TORQUE, :-2]
+            rows = chosen.reshape(chosen.shape[0] * chosen.shape[1], len(columns))
             rows = rows[np.isfinite(rows).all(axis=1)]
             variance, is_known = errors.variances(rows, columns)
             share_known = np.count_nonzero(is_known) / max(len(rows), 1)
