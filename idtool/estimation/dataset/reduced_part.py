@@ -130,12 +130,9 @@ class ReducedPart:
         regrouped
             The model whose equation the part was reduced with.
         """
-        counted = [self.counted] if self.blocks else []  # merged with fewer columns, which is faster
-        reductions = [self.excluded, *self.blocks.values(), *counted]
-        self.excluded, *others = with_all_columns(reductions, regrouped)
-        self.blocks = dict(zip(self.blocks, others, strict=False))
-        if counted:
-            self.counted = others[-1]
+        self.excluded, *blocks = with_all_columns([self.excluded, *self.blocks.values()], regrouped)
+        self.blocks = dict(zip(self.blocks, blocks, strict=True))
+        self.__dict__.pop("counted", None)  # from these blocks again, as from those of a file: equal to the last bit
         self.extremes.rows = [regrouped.all_columns(joint, rows) for joint, rows in enumerate(self.extremes.rows)]
         drawn = [regrouped.all_columns(joint, rows.T).T for joint, rows in enumerate(self.drawn.rows)]
         self.drawn = replace(self.drawn, rows=tuple(drawn))
