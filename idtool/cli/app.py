@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -25,7 +26,8 @@ class _Commands(TyperGroup):
 
     @override
     def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
-        return [name for names in _SECTIONS.values() for name in names if name in self.commands]
+        in_order = chain.from_iterable(_SECTIONS.values())
+        return [name for name in in_order if name in self.commands]
 
     @override
     def format_commands(self, ctx: typer.Context, formatter: HelpFormatter) -> None:  # type: ignore[override]

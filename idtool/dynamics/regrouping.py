@@ -1,15 +1,16 @@
-"""`regrouped`: the torque equation without the columns of bodies that depend linearly on others, whatever the motion.
+"""`regrouped`: the torque equation without columns of bodies that depend on others, whatever the motion.
 
-A massless rod along a joint's axis moves alike whether it belongs to the joint's body or to the one that carries it;
-so does, on a prismatic joint, any inertia without mass. Its columns in both bodies are therefore equal:
+An infinitely thin rod along a joint's axis, of any distribution of mass, moves alike whether it belongs to the joint's
+body or to the one that carries it; so does, on a prismatic joint, any inertia with mass and first moments of zero. Its
+columns in both bodies are therefore equal:
 
     Y_body n = Y_carrier X n,
 
 n the rod's parameters and X their transform to the carrier's frame. This makes some columns of the body combinations of
 its others and of the carrier's: three of a revolute joint's ten, six of a prismatic one's. On a carrier that stands
 still, columns of zero and multiples of one another come on top (Gautier & Khalil, Direct calculation of minimum set of
-inertial parameters of serial robots, 1990). The other columns are kept, and with the parameters of rods regrouped with
-those of their carriers
+inertial parameters of serial robots, 1990). Special geometries, such as parallel axes, leave further dependent columns,
+which stay. The other columns are kept, and with the parameters of rods regrouped with those of their carriers
 
     Y theta = Y_kept beta
 
@@ -33,7 +34,9 @@ from idtool.robot.body import Body
 from idtool.robot.inertia import PI_SIZE, parameter_transform, symmetric_entries, symmetric_matrix
 
 _INERTIAS = slice(4, PI_SIZE)  # of a body's parameters
-_DIAGONAL = (0, 2, 5)  # of I_xx, I_yy, I_zz among the six of an inertia
+_DIAGONAL = (0, 2, 5)  # indices of I_xx, I_yy, I_zz among the six of an inertia
+_WITHOUT_XX, _WITHOUT_ZZ = range(1, 6), range(5)  # indices among these six
+_MOMENTS_WITHOUT = (range(1, 3), range(0, 3, 2), range(2))  # indices of the first moments but that along x, y or z
 
 
 @dataclass(frozen=True)
@@ -45,16 +48,17 @@ class RegroupedBody:
     kept, dependent
         Indices of its parameters whose columns are kept, shape (k,), and of the others, shape (d,).
     carrier
-        Index of the body that carries it; −1: it stands still, and has no columns.
-    of_kept, of_carrier
-        The dependent columns as combinations of those kept, shape (k, d), and of the carrier's, shape (10, d).
+        Index of the body that carries it, which comes before it; −1: that stands still, and has no columns.
+    kept_combinations, carrier_combinations
+        The dependent columns are the kept ones times the former, shape (k, d), plus all ten of the carrier times the
+        latter, shape (10, d).
     """
 
     kept: Indices
     dependent: Indices
     carrier: int
-    of_kept: Array
-    of_carrier: Array
+    kept_combinations: Array
+    carrier_combinations: Array
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ class RegroupedModel:
     bodies: tuple[RegroupedBody, ...]
 
     def all_columns(self, joint: int, kept: Array) -> Array:
-        """All columns of a joint from those that are kept.
+        """All columns of a joint from those that are kept; of an R-factor, one with the same Gram matrix.
 
         Parameters
         ----------
@@ -92,81 +96,95 @@ class RegroupedModel:
         if not self.bodies:
             return kept
         active = self.complete.active()[joint]
-        is_body = active < PI_SIZE * len(self.bodies)
-        own_bodies = np.unique(active[is_body] // PI_SIZE).tolist()
-        columns = np.empty((*kept.shape[:-1], PI_SIZE * len(own_bodies)))
-        by_body: dict[int, Array] = {}
-        first = 0
-        for position, i in enumerate(own_bodies):
+        is_of_body = active < PI_SIZE * len(self.bodies)
+        body_indices = np.unique(active[is_of_body] // PI_SIZE).tolist()
+        columns = np.empty((*kept.shape[:-1], PI_SIZE * len(body_indices)))
+        columns_by_body: dict[int, Array] = {}
+        first_kept = 0
+        for position, i in enumerate(body_indices):
             body = self.bodies[i]
-            own = columns[..., PI_SIZE * position : PI_SIZE * (position + 1)]
-            own_kept = kept[..., first : first + len(body.kept)]
-            own[..., body.kept] = own_kept
-            dependent = own_kept @ body.of_kept
-            if body.carrier in by_body:
-                dependent += by_body[body.carrier] @ body.of_carrier
-            own[..., body.dependent] = dependent
-            by_body[i] = own
-            first += len(body.kept)
-        return np.concatenate([columns, kept[..., first:]], axis=-1)
+            own_kept = kept[..., first_kept : first_kept + len(body.kept)]
+            dependent = own_kept @ body.kept_combinations
+            if body.carrier in columns_by_body:
+                dependent += columns_by_body[body.carrier] @ body.carrier_combinations
+            own_columns = columns[..., PI_SIZE * position : PI_SIZE * (position + 1)]
+            own_columns[..., body.kept] = own_kept
+            own_columns[..., body.dependent] = dependent
+            columns_by_body[i] = own_columns
+            first_kept += len(body.kept)
+        further = kept[..., first_kept:]
+        return np.concatenate([columns, further], axis=-1)
 
     def regrouped_values(self, theta: Array) -> Array:
         """Coefficients beta of the columns that are kept, shape (r,), from those of all columns, shape (p,)."""
         if not self.bodies:
             return theta
         count = PI_SIZE * len(self.bodies)
-        by_body = theta[:count].reshape(-1, PI_SIZE).copy()
+        parameters = theta[:count].reshape(-1, PI_SIZE).copy()
         values = [theta[count:]]
-        for own, body in zip(by_body[::-1], self.bodies[::-1], strict=True):  # before what carries it
-            dependent = own[body.dependent]
-            values.append(own[body.kept] + body.of_kept @ dependent)
+        for i in reversed(range(len(self.bodies))):  # a body before what carries it
+            body, own = self.bodies[i], parameters[i]
+            moved = own[body.dependent]
+            values.append(own[body.kept] + body.kept_combinations @ moved)
             if body.carrier >= 0:
-                by_body[body.carrier] += body.of_carrier @ dependent
+                parameters[body.carrier] += body.carrier_combinations @ moved
         return np.concatenate(values[::-1])
 
 
 def regrouped(equation: LinearModel) -> RegroupedModel:
-    """The equation without the dependent columns of its bodies; with all of them if columns depend on coefficients."""
-    bodies, *others = equation.effects
-    is_identified = equation.known_bodies is None
-    if equation.depends_on_parameters or not is_identified or not isinstance(bodies, RigidBodies):
-        return RegroupedModel(equation, equation, ())
-    model = bodies.model
-    subsets = [_independent_parameters(body) for body in model.bodies]
+    """The equation without dependent columns of its bodies.
+
+    All columns are kept if the bodies have none, are known or have some of their parameters only, or if columns depend
+    on the coefficients.
+    """
+    rigid_bodies, *others = equation.effects
+    unchanged = RegroupedModel(equation, equation, ())
+    if not isinstance(rigid_bodies, RigidBodies) or not rigid_bodies.is_complete:
+        return unchanged
+    if equation.depends_on_parameters or equation.known_bodies is not None:
+        return unchanged
+    model = rigid_bodies.model
+    subsets = [_kept_parameters(body) for body in model.bodies]
     effects: list[Effect] = [RigidBodies(model, subsets), *others]
-    steps = tuple(_regrouped_body(body, subset) for body, subset in zip(model.bodies, subsets, strict=True))
-    return RegroupedModel(replace(equation, effects=tuple(effects)), equation, steps)
+    bodies = tuple(_regrouped_body(body, subset) for body, subset in zip(model.bodies, subsets, strict=True))
+    return RegroupedModel(replace(equation, effects=tuple(effects)), equation, bodies)
 
 
 def _regrouped_body(body: Body, subset: ParameterSubset) -> RegroupedBody:
     """A body's dependent columns, if those of a subset of its parameters are kept."""
     kept = subset.indices
     dependent = np.setdiff1d(np.arange(PI_SIZE), kept)
-    basis = _parameters_of_carrier(body)
-    rods = basis @ np.linalg.inv(basis[dependent])  # each has one of the dependent parameters, which is 1
-    in_carrier = parameter_transform(body.mount.R, body.mount.p) @ rods
-    return RegroupedBody(kept, dependent, body.mount.body, -rods[kept], in_carrier)
+    basis = _transferable_parameters(body)
+    unit_basis = basis @ np.linalg.inv(basis[dependent])  # each vector has one dependent parameter, which is 1
+    to_carrier = parameter_transform(body.mount.R, body.mount.p)
+    return RegroupedBody(
+        kept=kept,
+        dependent=dependent,
+        carrier=body.mount.body,
+        kept_combinations=-unit_basis[kept],
+        carrier_combinations=to_carrier @ unit_basis,
+    )
 
 
-def _independent_parameters(body: Body) -> ParameterSubset:
-    """Parameters of a body whose columns are kept; the others are those that the rod has most of."""
+def _kept_parameters(body: Body) -> ParameterSubset:
+    """Parameters of a body whose columns are kept: all but as many as are transferable, in which the rod is large."""
     if body.first_free_coordinate is not None:
         return ALL_PARAMETERS
     is_grounded = body.mount.body < 0
     if body.prismatic:
         return ParameterSubset(moments=range(0 if is_grounded else 3), inertias=range(0))
-    x, y, z = np.abs(body.axis).tolist()
-    moments = (range(1, 3), range(0, 3, 2), range(2))[int(np.argmax([x, y, z]))]
+    x, _, z = np.abs(body.axis)
+    largest = int(np.argmax(np.abs(body.axis)))
+    moments = _MOMENTS_WITHOUT[largest]
     if is_grounded:  # only the inertia about the axis matters
-        largest = _DIAGONAL[int(np.argmax([x, y, z]))]
-        inertias = range(largest, largest + 1)
+        inertias = range(_DIAGONAL[largest], _DIAGONAL[largest] + 1)
     else:
-        inertias = range(1, 6) if x <= z else range(5)
+        inertias = _WITHOUT_XX if x <= z else _WITHOUT_ZZ
     return ParameterSubset(False, moments, inertias)
 
 
-def _parameters_of_carrier(body: Body) -> Array:
-    """Basis of the parameters that act alike on the body and on its carrier, shape (10, d)."""
+def _transferable_parameters(body: Body) -> Array:
+    """Basis of the parameters that act alike on the body and on its carrier, in the body's frame, shape (10, d)."""
     if body.first_free_coordinate is not None:
         return np.zeros((PI_SIZE, 0))
     if body.prismatic:
@@ -188,8 +206,8 @@ def _without_inertia_about(axis: Array) -> Array:
     """Basis of the inertias whose moment about an axis is zero, shape (10, 5)."""
     about_axis = np.array([axis @ symmetric_matrix(unit) @ axis for unit in np.eye(6)])  # (6,)
     largest = _DIAGONAL[int(np.argmax(np.abs(axis)))]
-    others = np.delete(np.arange(6), largest)
+    free_entries = np.delete(np.arange(6), largest)
     basis = np.zeros((PI_SIZE, 5))
-    basis[4 + others, np.arange(5)] = 1.0
-    basis[4 + largest] = -about_axis[others] / about_axis[largest]
+    basis[4 + free_entries, np.arange(5)] = 1.0
+    basis[4 + largest] = -about_axis[free_entries] / about_axis[largest]
     return basis

@@ -16,12 +16,13 @@ from idtool.common.arrays import Array
 
 @dataclass(frozen=True)
 class JointRotation:
-    """Rotation of vectors from the parent's axes to the body's: after · (turn about an axis) · before.
+    """Change of coordinates from the parent's axes to the body's: after · (turn about a coordinate axis) · before.
 
     Attributes
     ----------
     before, after
-        Constant rotations, shape (3, 3); None: the identity.
+        Constant matrices, from the parent's axes to those of the turn and from these to the body's, shape (3, 3);
+        None: the identity.
     axis
         Index of the coordinate axis of the turn.
     cos, sin
@@ -41,16 +42,17 @@ class JointRotation:
         Parameters
         ----------
         mount
-            Rotation of the body's frame in its parent's before the turn, shape (3, 3).
+            Rotation of the body's frame in its parent's at an angle of 0, shape (3, 3).
         axis
-            Unit vector of the turn, the same in both frames, shape (3,).
+            Unit vector of the turn in the body's frame, shape (3,).
         angle
             Angle of the turn, shape (N,) [rad].
         """
         cos, sin = np.cos(angle), np.sin(angle)
         if np.count_nonzero(axis) == 1:
             i = int(np.argmax(np.abs(axis)))
-            return cls(_unless_identity(mount.T), None, i, cos, axis[i] * sin)
+            signed_sin = axis[i] * sin
+            return cls(_unless_identity(mount.T), None, i, cos, signed_sin)
         to_x = _rotation_to_x(axis)
         return cls(to_x @ mount.T, to_x.T, 0, cos, sin)
 
@@ -60,11 +62,13 @@ class JointRotation:
         return cls(_unless_identity(mount.T))
 
     def to_body(self, x: Array) -> Array:
-        """Vectors along the body's axes, from those along the parent's; shape (3, ..., N), or 1 for N."""
-        return _product(self.after, self._turned(_product(self.before, x), self.sin))
+        """Vectors along the body's axes, from those along the parent's; shape (3, ..., N) or (3, ..., 1)."""
+        before_turn = _product(self.before, x)
+        after_turn = self._turned(before_turn, self.sin)
+        return _product(self.after, after_turn)
 
     def to_parent(self, x: Array) -> Array:
-        """Vectors along the parent's axes, from those along the body's; shape (3, ..., N), or 1 for N."""
+        """Vectors along the parent's axes, from those along the body's; shape (3, ..., N) or (3, ..., 1)."""
         x = _product(None if self.after is None else self.after.T, x)
         turned = self._turned(x, None if self.sin is None else -self.sin)
         return _product(None if self.before is None else self.before.T, turned)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,3 +74,12 @@ def test_of_a_general_chain_nothing_more_can_be_left_out(robot_of: ReadRobot, rn
     ):
         row[:, active] = columns[:-1].T
     assert Y.shape[-1] == np.linalg.matrix_rank(Y.reshape(-1, Y.shape[-1])) == 7 * count - 4
+
+
+def test_what_is_regrouped_stays_as_it_is(robot_of: ReadRobot) -> None:
+    _, equation = random_model(0, robot_of)
+    kept = regrouped(equation).equation
+    assert len(kept.coefficients) < len(equation.coefficients)
+    assert regrouped(kept).equation is kept
+    known_bodies = np.zeros(10)
+    assert regrouped(replace(equation, known_bodies=known_bodies)).bodies == ()

@@ -46,8 +46,10 @@ class ParameterSubset:
     @property
     def indices(self) -> Indices:
         """Their indices among the ten parameters, ascending."""
-        mass = range(1 if self.has_mass else 0)
-        return np.array([*mass, *(1 + i for i in self.moments), *(4 + i for i in self.inertias)], dtype=np.intp)
+        mass = np.arange(1 if self.has_mass else 0)
+        moments = 1 + np.array(self.moments, dtype=np.intp)
+        inertias = 4 + np.array(self.inertias, dtype=np.intp)
+        return np.concatenate([mass, moments, inertias])
 
 
 ALL_PARAMETERS = ParameterSubset()
@@ -55,6 +57,11 @@ ALL_PARAMETERS = ParameterSubset()
 
 class RigidBodies(Effect):
     """All bodies of a model, in the model's order, with ten coefficients each or some of these.
+
+    Attributes
+    ----------
+    is_complete
+        True if all parameters have coefficients.
 
     Parameters
     ----------
@@ -67,34 +74,35 @@ class RigidBodies(Effect):
     def __init__(self, model: RobotModel, subsets: Sequence[ParameterSubset] | None = None) -> None:
         self.model = model
         self._subsets = [ALL_PARAMETERS] * len(model.bodies) if subsets is None else list(subsets)
-        self._is_complete = subsets is None
+        self.is_complete = subsets is None
         typical = typical_mass(model.bodies)
         coefficients: list[Coefficient] = []
-        of_bodies = []  # indices of their coefficients
+        coefficient_indices = []  # by body
         for body, subset in zip(model.bodies, self._subsets, strict=True):
             scales = parameter_scales(body, typical)
             indices = subset.indices
-            of_bodies.append(len(coefficients) + np.arange(len(indices)))
+            coefficient_indices.append(len(coefficients) + np.arange(len(indices)))
             for k in indices.tolist():
                 name, unit = PARAMETER_NAMES[k], PARAMETER_UNITS[k]
-                coefficients.append(Coefficient(RIGID_BODY, body.name, name, unit, float(body.pi[k]), float(scales[k])))
+                prior, scale = float(body.pi[k]), float(scales[k])
+                coefficients.append(Coefficient(RIGID_BODY, body.name, name, unit, prior, scale))
         self.coefficients = tuple(coefficients)
 
         support = model.support()
         active = []
         for joint in range(support.shape[1]):
             bodies = np.flatnonzero(support[:, joint])
-            active.append(np.concatenate([np.zeros(0, dtype=np.intp), *(of_bodies[i] for i in bodies)]))
+            active.append(np.concatenate([np.zeros(0, dtype=np.intp), *(coefficient_indices[i] for i in bodies)]))
         self.active = tuple(active)
         self._support = support
         # Number of columns of a joint before those of each body:
-        counts = support * np.array([len(indices) for indices in of_bodies], dtype=np.intp)[:, None]
+        counts = support * np.array([len(indices) for indices in coefficient_indices], dtype=np.intp)[:, None]
         self._first_column: Indices = np.cumsum(counts, axis=0) - counts
 
     @property
     @override
     def column_key(self) -> Hashable:
-        return "rigid_bodies", IdentityKey(self.model), self._is_complete
+        return "rigid_bodies", IdentityKey(self.model), tuple(self._subsets)
 
     @override
     def columns(self, motion: Motion, out: Sequence[Array]) -> None:
@@ -165,7 +173,7 @@ class RigidBodies(Effect):
 
     def _parameters(self, theta: Array) -> Array:
         """Parameters of all bodies, shape (bodies, 10); 0 where there is no coefficient."""
-        if self._is_complete:
+        if self.is_complete:
             return theta.reshape(-1, PI_SIZE)
         parameters = np.zeros((len(self._subsets), PI_SIZE))
         rest = theta
@@ -198,7 +206,7 @@ def _write_own_axis_columns(
 
 
 def _combined(factors: Array, x: Array) -> Array:
-    """Sum of arrays times factors, shape (m, ..., N) to (..., N); those of factor 0, as of most axes, cost nothing."""
+    """Linear combination of arrays, shape (m, ..., N) to (..., N); those of factor 0, as of most axes, cost nothing."""
     total = np.zeros(x.shape[1:])
     for i in np.flatnonzero(factors):
         total += factors[i] * x[i]
