@@ -356,8 +356,7 @@ class Signals:
             message = f"{count_text(count, 'segment')} between gaps {were} too short for the filter"
             advice = "if there are many of them, find out why samples are lost"
             notice = Notice("short_stretches", "note", None, message, advice)
-            if notice not in self.notices:
-                self.notices.append(notice)
+            self.notices.append(notice)
         return long_enough
 
     def _measure_deadband(self) -> Array:

@@ -138,16 +138,20 @@ def regrouped(equation: LinearModel) -> RegroupedModel:
     on the coefficients.
     """
     rigid_bodies, *others = equation.effects
-    unchanged = RegroupedModel(equation, equation, ())
     if not isinstance(rigid_bodies, RigidBodies) or not rigid_bodies.is_complete:
-        return unchanged
+        return not_regrouped(equation)
     if equation.depends_on_parameters or equation.known_bodies is not None:
-        return unchanged
+        return not_regrouped(equation)
     model = rigid_bodies.model
     subsets = [_kept_parameters(body) for body in model.bodies]
     effects: list[Effect] = [RigidBodies(model, subsets), *others]
     bodies = tuple(_regrouped_body(body, subset) for body, subset in zip(model.bodies, subsets, strict=True))
     return RegroupedModel(replace(equation, effects=tuple(effects)), equation, bodies)
+
+
+def not_regrouped(equation: LinearModel) -> RegroupedModel:
+    """The equation with all columns kept."""
+    return RegroupedModel(equation, equation, ())
 
 
 def _regrouped_body(body: Body, subset: ParameterSubset) -> RegroupedBody:

@@ -10,7 +10,7 @@ from commands import LEG, VALIDATE, VALIDATE_CSV
 from idtool.api.data import load_experiment
 from idtool.api.log import Log
 from idtool.common.notice import Notice
-from idtool.data.same_recording import is_same_recording
+from idtool.data.same_recording import is_same_recording, same_recordings
 
 CODES = ("duplicate_log", "validated_on_training_log")
 RATE = 1000.0
@@ -40,6 +40,18 @@ def test_the_same_samples_are_the_same_recording_whatever_was_rounded_or_left_ou
     assert is_same_recording(log.record, recording("copy").record)
     assert is_same_recording(log.record, rounded(log, 5).record)
     assert is_same_recording(log.record, recording("positions", tau=False).record)
+
+
+def test_joints_are_compared_by_name_in_any_order_and_in_any_number_of_logs() -> None:
+    log, other = recording(), recording("other", seed=1)
+    assert log.tau is not None
+    turned = Log.from_arrays("turned", log.t, ["knee", "hip"], q=log.q[:, ::-1], tau=log.tau[:, ::-1])
+    swapped = Log.from_arrays("swapped", log.t, ["knee", "hip"], q=log.q, tau=log.tau)
+    assert is_same_recording(log.record, turned.record)
+    assert not is_same_recording(log.record, swapped.record)
+    logs = [each.record for each in (other, log, swapped, turned, recording("copy"))]
+    (group,) = same_recordings(logs)
+    assert [each.path.name for each in group] == [logs[1].path.name, "turned", "copy"]
 
 
 def test_another_run_of_the_same_motion_is_another_recording() -> None:

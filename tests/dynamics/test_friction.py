@@ -127,6 +127,23 @@ def test_a_joint_without_coulomb_friction_keeps_its_samples_at_rest(build: Build
         assert linear.block(batch)[1].shape[1] == len(batch.t)
 
 
+def test_the_sign_is_as_wide_as_the_noise_of_the_velocity_that_is_used(rng: np.random.Generator) -> None:
+    """The measured velocity of one joint, and the differentiated one of the other, whose sensor is worse."""
+    t = clock(20)
+    q = swing(t) + 1e-4 * rng.normal(size=(len(t), 2))
+    v = swing(t, 1) + np.array([0.01, 0.3]) * rng.normal(size=(len(t), 2))
+    signals = signals_of(swinging(t, q=q, v=v))
+    np.testing.assert_array_equal(signals.velocity_from_position, [False, True])
+    error = joined(signals, lambda m: m.v) - swing(joined(signals, lambda m: m.t), 1).T
+    expected = np.maximum(3e-3, 1.25 * error.std(axis=1))
+    assert expected[1] > 1.5 * expected[0]
+    np.testing.assert_allclose(signals.velocity_deadband, expected, rtol=0.2)
+
+    differentiated = signals_of(swinging(t, q=q, v=v), velocity="differentiated")
+    assert differentiated.velocity_deadband[0] > 1.5 * signals.velocity_deadband[0]
+    assert differentiated.velocity_deadband[1] == pytest.approx(signals.velocity_deadband[1])
+
+
 @pytest.mark.parametrize("sigma", [0.0, 0.02, 0.1])
 def test_the_sign_is_as_wide_as_the_velocitys_noise_asks(rng: np.random.Generator, sigma: float) -> None:
     """1.25 times its standard deviation, and at least 3 mrad/s: after the signals' filter, which leaves part of it."""

@@ -10,7 +10,9 @@ import pytest
 from sensor_arm import LINKS, SENSOR, Push, urdf_text, write_log
 
 import idtool
+from idtool.common.processes import no_progress
 from idtool.estimation.dataset.reduction import Factor
+from idtool.estimation.dataset.sensor_offsets import with_offsets_of
 
 OFFSETS = {
     "a.csv": np.array([3.0, -2.0, 5.0, 0.1, 0.2, -0.3]),
@@ -104,6 +106,17 @@ def test_offset_of_a_log_for_validation_is_estimated_from_it(folder: Path, resta
     assert again.rms.model["overall"] == pytest.approx(restarted.rms.validation["overall"], rel=1e-3)
     np.testing.assert_allclose(again.wrench_sensor_offsets["c.csv"][SENSOR], estimated, atol=1e-3)
     assert codes(again) == ["wrench_sensor_offset_reestimated"]
+
+
+def test_offsets_of_several_models_are_those_of_each(restarted: Any) -> None:
+    fitted = restarted._fit
+    equation, noise = fitted.experiment.equation, fitted.estimate.noise
+    data = fitted.experiment.reduce(no_progress)
+    thetas = np.stack([fitted.estimate.theta, equation.prior, np.zeros(len(equation.prior))])
+    together = with_offsets_of(equation, data, noise, thetas)
+    assert np.abs(together - thetas).max() > 1.0
+    for theta, changed in zip(thetas, together, strict=True):
+        np.testing.assert_allclose(with_offsets_of(equation, data, noise, theta), changed, rtol=1e-9, atol=1e-9)
 
 
 def test_nothing_is_lost_where_the_offset_is_the_same(folder: Path, unchanged: Any) -> None:

@@ -14,7 +14,6 @@ from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.number_text import short_number
 from idtool.common.provenance import InputFile
-from idtool.common.threads import in_threads
 from idtool.data.base_sensors import POSE, BaseSensors, needed_channels, sensor_options
 from idtool.data.batches import Batches
 from idtool.data.contact_channels import ContactChannels
@@ -31,7 +30,7 @@ from idtool.dynamics.contact_model import ContactModel
 from idtool.dynamics.effects import build_effects
 from idtool.dynamics.effects.wrench_sensor_offset import drift_times
 from idtool.dynamics.regressor import LinearModel
-from idtool.dynamics.regrouping import regrouped
+from idtool.dynamics.regrouping import not_regrouped, regrouped
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.batch_cache import BatchCache
 from idtool.estimation.dataset.blocks import (
@@ -340,14 +339,15 @@ class Experiment:
 
     def _reduce_in_unchecked_blocks(self, progress: Progress) -> tuple[Blocks, ...]:
         """`reduce_in_blocks`, where joints may have no sample that counts."""
-        independent = regrouped(self.equation)
+        is_diagnosis = self.cache is not None  # which has columns, filtered, of the equation as it is
+        model = not_regrouped(self.equation) if is_diagnosis else regrouped(self.equation)
 
         def rows(run: Run) -> Rows:
-            return self.batches(run, False).map(independent.equation.counted_rows)
+            return self.batches(run, False).map(model.equation.counted_rows)
 
         blocks = []
         for log in self._unchecked_blocks(rows, progress, "reading", self.columns_of_coefficients):
-            merged, *parts = with_all_columns([log.total, *log.parts], independent)
+            merged, *parts = with_all_columns([log.total, *log.parts], model)
             blocks.append(replace(log, parts=tuple(parts), merged=merged))
         return tuple(blocks)
 
@@ -504,15 +504,9 @@ def prepare(
     config, notices = with_cutoff_for_logs(config, every)
     model = replace(model, notices=(*model.notices, *notices))
     shares = [0.0 if validate else holdout] * len(fitted) + [1.0] * len(validated)
-
-    def named_signals(pair: tuple[JointLog, str]) -> Signals:
-        log, name = pair
-        return signals_of(log, model, config, name)
-
-    samples = sum(map(len, every)) * len(model.joints)
-    of_logs = in_threads(named_signals, list(zip(every, names, strict=True)), samples)
     runs = []
-    for signals, share, limits in zip(of_logs, shares, beyond_limits, strict=True):
+    for log, name, share, limits in zip(every, names, shares, beyond_limits, strict=True):
+        signals = signals_of(log, model, config, name)
         notices = [limits] if limits is not None else _signal_notices(signals, model, config)
         comparison_notices += notices
         signals.notices += notices

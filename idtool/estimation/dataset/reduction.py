@@ -18,7 +18,7 @@ from idtool.dynamics.regrouping import RegroupedModel
 
 @dataclass(frozen=True)
 class Factor:
-    """The triangular factor of one joint's rows.
+    """A factor of one joint's rows.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ def with_all_columns(reductions: Sequence[Reduction], regrouped: RegroupedModel)
         rows = regrouped.all_columns(joint, np.concatenate([factor.R for factor in factors]))
         ends = np.cumsum([len(factor.R) for factor in factors])
         own_rows = np.split(rows, ends[:-1])
-        by_joint.append([replace(factor, R=R) for factor, R in zip(factors, own_rows, strict=True)])
+        by_joint.append([replace(factor, R=R.copy()) for factor, R in zip(factors, own_rows, strict=True)])
     return list(zip(*by_joint, strict=True))
 
 

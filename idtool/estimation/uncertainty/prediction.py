@@ -98,7 +98,8 @@ def reduced_prediction(
             count[j] += factor.rows
             unknown[j] += factor.rows * (1 - share_known) if len(rows) else 0.0
     known_count = np.maximum(count - unknown, 1)
-    return Prediction(np.sqrt(squares / known_count), np.sqrt(largest), unknown / np.maximum(count, 1))
+    rms = np.sqrt(squares / known_count)
+    return Prediction(rms, np.maximum(np.sqrt(largest), rms), unknown / np.maximum(count, 1))
 
 
 def prediction(experiment: Experiment, uncertainty: Uncertainty, held_out: bool, progress: Progress) -> Prediction:
