@@ -452,7 +452,7 @@ def _weighted(
     """Each joint's rows in units of its noise: Y over the free coefficients, (rows, p'), and tau_k, (rows, K)."""
     rows = []
     for factor, columns, sigma in zip(data, equation.active(), noise, strict=True):
-        Y = factor.R[:, :-count] @ equalities.K[columns] / sigma
+        Y = equalities.free_columns(factor.R[:, :-count], columns) / sigma
         taus = factor.R[:, -count:] / sigma
         rows.append((Y, taus))
     return rows

@@ -487,7 +487,7 @@ class _GainFit:
         """The factor of each joint, split by columns as `_columns_of_joints` has them."""
         joints = []
         for j, (factor, columns) in enumerate(zip(data, self._equation.active(), strict=True)):
-            Y = factor.R[:, : len(columns)] @ self._equalities.K[columns]
+            Y = self._equalities.free_columns(factor.R[:, : len(columns)], columns)
             own = [gain for gain in self._gains if gain.joint_index == j]
             *unit_torques, known_torques = np.split(factor.R[:, len(columns) :], len(own) + 1, axis=1)
             joints.append(_JointFactor(Y, dict(zip(own, unit_torques, strict=True)), known_torques, factor.rows))

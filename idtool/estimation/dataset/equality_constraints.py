@@ -24,6 +24,7 @@ from idtool.robot.inertia import PI_SIZE, parameter_reflection
 from idtool.robot.model import RobotModel
 
 _ELLIPSOID_TOLERANCE = 1e-2  # relative to its size
+_ROUNDING = 1e-12  # of the columns that are added
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,28 @@ class EqualityConstraints:
     def hard(self) -> tuple[Constraint, ...]:
         """The exact constraints."""
         return tuple(constraint for constraint in self.constraints if constraint.standard_error is None)
+
+    def free_columns(self, rows: Array, coefficients: Indices | None = None) -> Array:
+        """Columns of the coefficients that are no copies, rows K; zero where those of copies cancel.
+
+        Rounding would leave a direction that, in units of its columns, looks as if the data determined it.
+
+        Parameters
+        ----------
+        rows
+            The regressor's rows or a factor of them, shape (rows, p), or (rows, m) of some coefficients.
+        coefficients
+            These m; None: all.
+
+        Returns
+        -------
+        Shape (rows, p').
+        """
+        K = self.K if coefficients is None else self.K[coefficients]
+        columns = rows @ K
+        summed_norms = np.linalg.norm(rows, axis=0) @ np.abs(K)
+        is_rounding = np.linalg.norm(columns, axis=0) < _ROUNDING * summed_norms
+        return np.where(is_rounding, 0.0, columns)
 
     def soft_rows(self) -> Array:
         """Measured constraints as rows [row, value] in units of their standard errors, shape (measured, p + 1)."""

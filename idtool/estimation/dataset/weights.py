@@ -15,6 +15,7 @@ from idtool.common.units import STANDARD_GRAVITY
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Factor, Reduction
+from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import WRENCH_SIZE, RobotModel
 
 _RANK = 1e-10  # of the largest singular value: what lies below is not determined
@@ -35,6 +36,26 @@ def weighted_rows(model: LinearModel, reduction: Reduction, noise: Array) -> Arr
     for factor, columns, sigma in zip(reduction, model.active(), noise.tolist(), strict=True):
         parts.append((factor.R / (sigma * np.sqrt(samples)), np.append(columns, p)))
     return compressed_rows(parts, p + 1)
+
+
+def without_rounding(Y: Array, equation: LinearModel, rounding: float) -> Array:
+    """Rows with zeros in columns that are rounding beside the other columns of their body, shape (rows, p).
+
+    Parameters
+    ----------
+    Y
+        The regressor's rows or their triangular factor.
+    equation
+        The torque equation.
+    rounding
+        Effect of a parameter of typical size, relative to the body's largest, below which it is zero.
+    """
+    effect = np.linalg.norm(Y, axis=0) * [c.scale or 0.0 for c in equation.coefficients]
+    by_body = effect[: len(effect) // PI_SIZE * PI_SIZE].reshape(-1, PI_SIZE)
+    is_rounding = (by_body > 0) & (by_body < rounding * by_body.max(axis=1, keepdims=True))
+    zeroed = np.zeros(len(effect), dtype=bool)
+    zeroed[: by_body.size] = is_rounding.ravel()
+    return np.where(zeroed, 0.0, Y)
 
 
 def _noise_floor(factor: Factor) -> float:
@@ -86,18 +107,18 @@ def free_fit(model: LinearModel, reduction: Reduction, equalities: EqualityConst
     for noise of the others: iterated weighted least squares (Gautier 1997 takes one step). With fewer than two
     independent samples for each parameter that they determine, the torques themselves are the weights.
     """
-    K = (equalities or EqualityConstraints.none(len(model.coefficients))).K
+    equalities = equalities or EqualityConstraints.none(len(model.coefficients))
     sigma = np.ones(len(reduction))
     independent = sum(factor.independent for factor in reduction)
-    theta, has_enough_samples = np.zeros(len(K)), False
+    theta, has_enough_samples = np.zeros(len(model.coefficients)), False
     for _ in range(_WEIGHINGS):
         rows = weighted_rows(model, reduction, sigma)
-        Y = rows[:, :-1] @ K
+        Y = equalities.free_columns(without_rounding(rows[:, :-1], model, _RANK))
         size = np.linalg.norm(Y, axis=0)
         size[size == 0] = 1.0
         z, rank = least_squares(Y / size, rows[:, -1], _RANK)
         has_enough_samples = independent >= 2 * rank > 0
-        theta = K @ (z / size) if has_enough_samples else np.zeros(len(K))
+        theta = equalities.K @ (z / size) if has_enough_samples else np.zeros(len(model.coefficients))
         share = freedom_left(reduction, rank)
         joints = zip(reduction, model.active(), strict=True)
         sigma = np.array([residual_noise(factor, theta[columns], share) for factor, columns in joints])

@@ -22,6 +22,7 @@ from idtool.common.linear_algebra import compressed_rows
 from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
+from idtool.estimation.dataset.weights import without_rounding
 from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import RobotModel
 
@@ -114,30 +115,10 @@ def structural_base_parameters(
         factors.append((R, columns))
     Y = compressed_rows(factors, p)
     order = np.argsort(equalities.free < PI_SIZE * len(model.bodies), kind="stable")  # friction bears its own name
-    base = base_parameters(without_rounding(Y, equation, _RANK) @ equalities.K, order)
+    base = base_parameters(equalities.free_columns(without_rounding(Y, equation, _RANK)), order)
     B = np.zeros((len(base), p))
     B[:, equalities.free] = base.B
     return BaseParameters(equalities.free[base.own], B)
-
-
-def without_rounding(Y: Array, equation: LinearModel, rounding: float) -> Array:
-    """Rows with zeros in columns that are rounding beside the other columns of their body, shape (rows, p).
-
-    Parameters
-    ----------
-    Y
-        The regressor's rows or their triangular factor.
-    equation
-        The torque equation.
-    rounding
-        Effect of a parameter of typical size, relative to the body's largest, below which it is zero.
-    """
-    effect = np.linalg.norm(Y, axis=0) * [c.scale or 0.0 for c in equation.coefficients]
-    by_body = effect[: len(effect) // PI_SIZE * PI_SIZE].reshape(-1, PI_SIZE)
-    is_rounding = (by_body > 0) & (by_body < rounding * by_body.max(axis=1, keepdims=True))
-    zeroed = np.zeros(len(effect), dtype=bool)
-    zeroed[: by_body.size] = is_rounding.ravel()
-    return np.where(zeroed, 0.0, Y)
 
 
 def random_motion(model: RobotModel, samples: int) -> Motion:

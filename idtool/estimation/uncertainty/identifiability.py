@@ -170,7 +170,7 @@ def _posterior(
     variance = float(np.trace(uncertainty.covariance_y)) / max(len(uncertainty.covariance_y), 1)
     data = whitened_rows(equation, reduction, noise) / np.sqrt(variance or 1.0)
     soft = equalities.soft_rows()[:, : len(equation.coefficients)]
-    W = np.concatenate([soft, data]) @ equalities.K * problem.scale
+    W = equalities.free_columns(np.concatenate([soft, data])) * problem.scale
     prior = np.zeros((len(inertial), W.shape[1]))
     prior[np.arange(len(inertial)), inertial] = 1
     least = _LEAST_INFORMATION * np.eye(W.shape[1])

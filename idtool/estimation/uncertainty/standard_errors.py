@@ -17,8 +17,7 @@ from idtool.common.linear_algebra import null_space, right_svd
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.equality_constraints import EqualityConstraints
 from idtool.estimation.dataset.reduction import Reduction
-from idtool.estimation.dataset.weights import weighted_rows
-from idtool.estimation.uncertainty.base_parameters import without_rounding
+from idtool.estimation.dataset.weights import weighted_rows, without_rounding
 
 _RANK = 1e-9  # of the largest singular value of scaled columns: less is rounding
 _LEAST_EFFECT = 1e-4  # of a coefficient of typical size on all rows together, in units of their noise
@@ -181,7 +180,7 @@ def observable_directions(
     soft = equalities.soft_rows()[:, :p] / np.sqrt(independent_per_row)  # each is one independent row
     measured = without_rounding(whitened_rows(model, reduction, noise), model, _RANK)
     measured = _without_negligible(measured, model)
-    W = np.concatenate([soft, measured]) @ equalities.K
+    W = equalities.free_columns(np.concatenate([soft, measured]))
     size = np.linalg.norm(W, axis=0)
     size[size == 0] = 1.0
 

@@ -225,7 +225,7 @@ def make_standing_task(
 def _base_parameters(model: RobotModel, equalities: EqualityConstraints, rows: Array) -> BaseParameters:
     """Base parameters by rows, shape (rows, p), those of friction and effects first; ModelError if there are none."""
     others_first = np.argsort(equalities.free < PI_SIZE * len(model.bodies), kind="stable")
-    of_free = base_parameters(rows @ equalities.K, others_first)
+    of_free = base_parameters(equalities.free_columns(rows), others_first)
     if not len(of_free):
         raise ModelError(model.robot.path, "has no parameter that a motion of this stance could determine")
     B = np.zeros((len(of_free), rows.shape[1]))
