@@ -41,6 +41,8 @@ class Cluster:
     ----------
     client
         Connection to its scheduler.
+    is_local
+        True if its workers are processes of this machine and user, which see the same files.
 
     Attributes
     ----------
@@ -48,8 +50,9 @@ class Cluster:
         Number of evaluations at once, of all workers, when items were last given out.
     """
 
-    def __init__(self, client: Any) -> None:
+    def __init__(self, client: Any, is_local: bool = False) -> None:
         self._client = client
+        self.is_local = is_local
         self.threads = self._count_threads()
 
     def _count_threads(self) -> int:
@@ -129,7 +132,8 @@ def open_cluster(address: str, progress: Progress = no_progress) -> Iterator[Clu
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what users must know is in results
     with ExitStack() as stack:
         progress("connecting to the cluster", 0.0)
-        if address.startswith("local"):
+        is_local = address.startswith("local")
+        if is_local:
             client = stack.enter_context(_local_client(_local_count(address)))
         else:
             where = _checked_address(address)
@@ -141,7 +145,7 @@ def open_cluster(address: str, progress: Progress = no_progress) -> Iterator[Clu
                 raise ConfigError(_OPTION, f"no cluster at {where} ({reason}); {advice}") from None
         progress("waiting for workers of the cluster", 0.0)
         _check_workers(client, address)
-        yield Cluster(client)
+        yield Cluster(client, is_local)
 
 
 def _local_count(address: str) -> int:

@@ -1,7 +1,8 @@
 """Logs reduced one by one by the processes of a cluster, so that a fit from them is that from all logs together.
 
 Workers read the logs, from a file system that all of them see or from URLs. What they return is written to a folder by
-this process. A log whose reduction is there, made from the same file with the same settings, is not read again.
+this process; workers on this machine write it themselves, which saves its way between processes. A log whose reduction
+is there, made from the same file with the same settings, is not read again.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from idtool.common.exceptions import ConfigError, IdtoolError, LogError, Transfe
 from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
-from idtool.common.outputs import write_all
+from idtool.common.outputs import OutputError, write_all
 from idtool.common.processes import limit_processes, no_progress
 from idtool.common.threads import with_single_threaded_blas
 from idtool.common.urls import version_of
@@ -28,7 +29,14 @@ from idtool.common.version import VERSION
 from idtool.estimation.dataset.blocks import rounded_count
 from idtool.estimation.dataset.experiment import Progress, check_holdout, left_out_notice, prepare
 from idtool.estimation.reduced_experiment import save_reduction
-from idtool.estimation.saved_reduction import SavedReduction, parse_reduction, read_reduction, reduction_bytes
+from idtool.estimation.saved_reduction import (
+    SavedReduction,
+    parse_reduction,
+    read_reduction,
+    reduction_bytes,
+    unfinished_files,
+    write_reduction,
+)
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
 
@@ -69,6 +77,8 @@ class LogTask:
         Share at its end that is kept for validation; 1: all of it.
     log_count
         Number of logs that are used together, rounded up to a power of two.
+    file
+        File that the worker writes; None: it returns the content.
     """
 
     robot: Robot
@@ -76,6 +86,7 @@ class LogTask:
     path: Path
     holdout: float
     log_count: int
+    file: Path | None = None
 
     @property
     def file_name(self) -> str | None:
@@ -120,8 +131,13 @@ class ReducedLogs:
 
 
 @with_single_threaded_blas
-def reduce_log(task: LogTask) -> bytes | IdtoolError:
-    """Reduce a log, on a worker: the content of the file with its reduction, or the error of a log that cannot be used.
+def reduce_log(task: LogTask) -> bytes | IdtoolError | None:
+    """Reduce a log, on a worker.
+
+    Returns
+    -------
+    The content of the file with its reduction, None if the worker has written the file, or the error of a log that
+    cannot be used.
 
     Raises
     ------
@@ -130,15 +146,19 @@ def reduce_log(task: LogTask) -> bytes | IdtoolError:
     """
     limit_processes(1)  # each process of a cluster has its own core
     try:
-        return _reduced(task)
+        reduction = _reduced(task)
+        if task.file is None:
+            return reduction_bytes(reduction)
+        write_reduction(task.file, reduction)
     except TransferError:
         raise
     except IdtoolError as error:
         return error
+    return None
 
 
-def _reduced(task: LogTask) -> bytes:
-    """Content of the file with a log's reduction."""
+def _reduced(task: LogTask) -> SavedReduction:
+    """A log's reduction."""
     is_validated = task.holdout == 1
     logs, validate = ([], [task.path]) if is_validated else ([task.path], [])
     experiment = prepare(task.robot, task.config, logs, validate, 0.0 if is_validated else task.holdout)
@@ -146,7 +166,7 @@ def _reduced(task: LogTask) -> bytes:
     if experiment.has_commands and controller is not None and controller.known_delay is None:
         what = "is not fitted on a cluster, since it is that of all logs together"
         raise ConfigError("controller.delay", f"{what}; fit one log without --cluster, and give its delay in s")
-    return reduction_bytes(save_reduction(experiment, task.holdout, no_progress, task.log_count, keeps_excerpts=True))
+    return save_reduction(experiment, task.holdout, no_progress, task.log_count, keeps_excerpts=True)
 
 
 def reduce_on_cluster(
@@ -274,14 +294,20 @@ def _reductions(
             missing.append(i)
         else:
             reductions[i] = reduction
-    for k, outcome in cluster.evaluate(reduce_log, [tasks[i] for i in missing]):
+    given_out = [replace(tasks[i], file=files[i] if cluster.is_local else None) for i in missing]
+    for k, outcome in cluster.evaluate(reduce_log, given_out):
         i = missing[k]
-        if isinstance(outcome, bytes):
-            _write(files[i], tasks[i].log_name, outcome)
-            reductions[i] = parse_reduction(files[i], outcome, with_excerpts)
-        else:
+        if isinstance(outcome, OutputError):
+            raise outcome
+        if isinstance(outcome, Exception):
             failures[i] = outcome
             _raise_common_error(failures.values(), len(reductions), min(len(tasks), cluster.threads + 1))
+        elif outcome is None:
+            reductions[i] = read_reduction(files[i], with_excerpts)
+        else:
+            write_all(folder, {files[i].name: outcome})
+            reductions[i] = parse_reduction(files[i], outcome, with_excerpts)
+        _remove_outdated(files[i], tasks[i].log_name)
         failed = f", {len(failures)} failed" if failures else ""
         processes = "1 process" if cluster.threads == 1 else f"{cluster.threads} processes"
         stage = f"reducing {count_text(len(tasks), 'log')} on {processes}{failed}"
@@ -297,9 +323,10 @@ def _written_reduction(file: Path, with_excerpts: bool) -> SavedReduction | None
         return None
 
 
-def _write(file: Path, log_name: str, content: bytes) -> None:
-    """Write a log's reduction, and remove the oldest ones of the same log."""
-    write_all(file.parent, {file.name: content})
+def _remove_outdated(file: Path, log_name: str) -> None:
+    """Remove the oldest reductions of a log, and what workers that ended left of this one."""
+    for unfinished in unfinished_files(file):
+        unfinished.unlink(missing_ok=True)
     of_log = [other for other in file.parent.glob(f"{escape(log_name)}.*{REDUCTION_SUFFIX}") if other != file]
     of_log.sort(key=lambda other: other.stat().st_mtime, reverse=True)
     for other in of_log[_MAX_KEPT - 1 :]:

@@ -15,6 +15,7 @@ import os
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from glob import escape
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -99,6 +100,11 @@ def write_reduction(path: Path, reduction: SavedReduction) -> None:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(path, f"cannot be written to ({error.strerror}); give another --out") from None
+
+
+def unfinished_files(path: Path) -> list[Path]:
+    """What processes that ended have left of a file that they were writing."""
+    return list(path.parent.glob(f".{escape(path.name)}.*.part"))
 
 
 def reduction_bytes(reduction: SavedReduction) -> bytes:

@@ -193,14 +193,16 @@ def test_a_worker_that_is_killed_loses_nothing(logs: list[Path], from_logs: pack
 
 
 def test_a_rerun_takes_up_what_is_there(scheduler: str, logs: list[Path], tmp_path: Path) -> None:
-    """Reductions of other settings, or of a log that has changed, are made again."""
+    """Reductions of other settings, or of a log that has changed, are made again, on this machine or on others."""
     first = package.fit(LEG, logs, quick=True, cluster=scheduler, reductions=tmp_path)
     files = sorted(tmp_path.iterdir())
     assert [file.name.split(".")[0] for file in files] == [log.stem for log in logs]
     files[1].unlink()
     files[2].write_bytes(b"not a reduction")
+    (tmp_path / f".{files[1].name}.4711.part").write_bytes(b"from a worker that was killed")
     kept = {file: file.stat().st_mtime_ns for file in (files[0], *files[3:])}
-    again = package.fit(LEG, logs, quick=True, cluster=scheduler, reductions=tmp_path)
+    again = package.fit(LEG, logs, quick=True, cluster="local:1", reductions=tmp_path)
+    assert sorted(tmp_path.iterdir()) == files
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
     assert_same_fit(again, first)
     config = package.Model(LEG).config
