@@ -355,6 +355,7 @@ def test_what_is_known_from_elsewhere_alone_is_as_good_as_told(length: int) -> N
     assert (found.bootstrap is None) == (length == 1000)
     for told in (found.uncertainty, found.bootstrap or found.uncertainty):
         assert told.standard_error[0] == pytest.approx(0.4, rel=1e-6)
+        assert told.coverage_factor(np.eye(P)[:1])[0] == pytest.approx(1.96, abs=1e-3)
     assert found.theta[0] == pytest.approx(1.7)
 
 

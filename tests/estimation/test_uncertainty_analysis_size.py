@@ -58,6 +58,25 @@ def test_degrees_of_freedom_are_satterthwaites(shares: Array) -> None:
     np.testing.assert_allclose(found.degrees_of_freedom(rows), expected, rtol=1e-9)
 
 
+@pytest.mark.parametrize("known_share", [0.3, 0.9, 1.0])
+def test_a_variance_of_which_part_is_known_has_more_degrees_of_freedom(shares: Array, known_share: float) -> None:
+    """Satterthwaite's definition, 2 E² / Var, on many draws of the variance that the clusters tell."""
+    cluster_information = (1 - known_share) * shares
+    constraints = np.eye(SEEN) - cluster_information.sum(axis=0)
+    seen = Directions(np.eye(SEEN), np.zeros((SEEN, 0)), np.ones(SEEN), constraints, 1.0, 1000.0)
+    found = Uncertainty(seen, np.ones(SEEN, dtype=bool), np.eye(SEEN), cluster_information)
+    row = np.random.default_rng(3).normal(size=(1, SEEN))
+    held = np.array([float(row[0] @ own @ row[0]) for own in cluster_information])
+    known = float(row[0] @ constraints @ row[0])
+    draws = np.square(np.random.default_rng(4).normal(size=(20_000, len(held)))) @ held + known
+    freedom = found.degrees_of_freedom(row)[0]
+    if known_share == 1:
+        assert freedom == np.inf
+    else:
+        expected = 2 * draws.mean() ** 2 / draws.var()
+        assert freedom == pytest.approx(expected, rel=0.1)
+
+
 def test_a_report_asks_for_all_intervals_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not once a body."""
     experiment = prepare(

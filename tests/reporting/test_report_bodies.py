@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,14 @@ import numpy as np
 import pytest
 import yaml
 from commands import JOINTS, LEG, TRAIN, VALIDATE, config_with, fitted, idtool, numbers, strict_json, validated
+from figures import assert_same_figures
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from synthetic import point_parameters
 
+from idtool.dynamics.regrouping import RegroupedModel
+from idtool.estimation.dataset.reduced_part import ReducedPart
+from idtool.estimation.dataset.reduction import Factor
 from idtool.robot.config import read_config
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import LENGTH_POWERS, from_mass_com_inertia, mass_com_inertia, symmetric_matrix
@@ -252,3 +257,27 @@ def test_a_shape_of_the_identified_urdf_is_checked(folder: Path, known: dict[str
     assert done.code == 0
     for name, link in done.json["links"].items():
         assert link["mass"] == pytest.approx(known["bodies"][name]["mass"], rel=1e-11)  # as many digits are written
+
+
+def test_a_fit_is_that_of_any_factor_of_the_data(
+    monkeypatch: pytest.MonkeyPatch, known: dict[str, Any], tmp_path: Path
+) -> None:
+    """Columns of copies cancel, and the data say nothing of some masses: rounding must not decide on either."""
+    rng = np.random.default_rng(0)
+    restore_columns = ReducedPart.restore_columns
+
+    def turned(factor: Factor) -> Factor:
+        Q = np.linalg.qr(rng.normal(size=(len(factor.R), len(factor.R))))[0]
+        return replace(factor, R=Q @ factor.R)
+
+    def restore_and_turn(part: ReducedPart, regrouped: RegroupedModel) -> None:
+        restore_columns(part, regrouped)
+        part.blocks = {number: tuple(map(turned, block)) for number, block in part.blocks.items()}
+
+    monkeypatch.setattr(ReducedPart, "restore_columns", restore_and_turn)
+    report = report_of(tmp_path, **KNOWN)
+    for key in ("rms", "noise", "friction", "friction_intervals"):
+        assert_same_figures(report[key], known[key], key, rel=1e-6)
+    for name, body in report["bodies"].items():
+        for key in ("mass", "interval", "identifiable", "standard_error"):
+            assert_same_figures(body[key], known["bodies"][name][key], f"{name}.{key}", rel=1e-6)

@@ -136,17 +136,21 @@ class Uncertainty:
         """Degrees of freedom of the standard errors of combinations, shape (k, p) to (k,).
 
         Clusters are few, and fewer where some of them hold most of the information on a combination: Satterthwaite's,
-        at least 1 (Bell & McCaffrey 2002). Infinite where the covariance was not estimated from clusters.
+        at least 1 (Bell & McCaffrey 2002); more where measured constraints, whose errors are given, hold part of the
+        information. Infinite where the covariance was not estimated from clusters.
         """
         if not len(self.cluster_information):
             return np.full(len(rows), np.inf)
         in_y = rows @ self.directions.observable
-        shares = np.column_stack(
-            [np.einsum("ki,ki->k", in_y @ information, in_y) for information in self.cluster_information]
-        )
-        squares = np.square(shares).sum(axis=1)
-        effective_clusters = np.square(shares.sum(axis=1)) / np.where(squares > 0, squares, 1.0)
-        return np.asarray(np.maximum(effective_clusters - 1, 1.0))
+        by_cluster = np.column_stack([_quadratic_form(in_y, information) for information in self.cluster_information])
+        of_clusters = by_cluster.sum(axis=1)
+        of_constraints = _quadratic_form(in_y, self.directions.soft)
+        squares = np.square(by_cluster).sum(axis=1)
+        effective_clusters = np.square(of_clusters) / np.where(squares > 0, squares, 1.0)
+        of_all = of_clusters + of_constraints
+        share_of_clusters = np.where(of_all > 0, of_clusters / np.where(of_all > 0, of_all, 1.0), 1.0)
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.maximum(effective_clusters - 1, 1.0) / np.square(share_of_clusters))
 
     def coverage_factor(self, rows: Array) -> Array:
         """Half the width of the 95 % interval of combinations in standard errors, by Student's t; (k, p) to (k,)."""
@@ -154,6 +158,11 @@ class Uncertainty:
 
     def _errors(self, in_y: Array) -> Array:
         return np.asarray(np.sqrt(np.einsum("ki,ij,kj->k", in_y, self.covariance_y, in_y, optimize=True)))
+
+
+def _quadratic_form(x: Array, A: Array) -> Array:
+    """xᵀ A x of several x, shape (k, r) to (k,)."""
+    return np.asarray(np.einsum("ki,ki->k", x @ A, x))
 
 
 def observable_directions(
