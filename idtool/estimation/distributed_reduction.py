@@ -1,7 +1,7 @@
 """Logs reduced one by one by the processes of a cluster, so that a fit from them is that from all logs together.
 
 Workers read the logs, from a file system that all of them see or from URLs. What they return is written to a folder by
-this process; workers on this machine write it themselves, which saves its way between processes. A log whose reduction
+this process; workers on this machine write it themselves, so that it need not be sent. A log whose reduction
 is there, made from the same file with the same settings, is not read again.
 """
 
