@@ -1,16 +1,16 @@
 """`regrouped`: the torque equation without columns of bodies that depend on others, whatever the motion.
 
-An infinitely thin rod along a joint's axis, of any distribution of mass, moves alike whether it belongs to the joint's
-body or to the one that carries it; so does, on a prismatic joint, any inertia with mass and first moments of zero. Its
-columns in both bodies are therefore equal:
+Take an infinitely thin rod along the axis of a revolute joint. It moves alike whether it belongs to the joint's body or
+to the carrier, the body before the joint. On a prismatic joint, the same is true of any inertia whose mass and first
+moments are zero. The columns are therefore equal:
 
     Y_body n = Y_carrier X n,
 
 n the rod's parameters and X their transform to the carrier's frame. This makes some columns of the body combinations of
-its others and of the carrier's: three of a revolute joint's ten, six of a prismatic one's. On a carrier that stands
-still, columns of zero and multiples of one another come on top (Gautier & Khalil, Direct calculation of minimum set of
-inertial parameters of serial robots, 1990). Special geometries, such as parallel axes, leave further dependent columns,
-which stay. The other columns are kept, and with the parameters of rods regrouped with those of their carriers
+its others and of the carrier's: three of a revolute joint's ten, six of a prismatic one's. If the carrier stands still,
+further columns are zero or multiples of others (Gautier & Khalil, Direct calculation of minimum set of inertial
+parameters of serial robots, 1990). These columns are left out. Special geometries, such as parallel axes, make more
+columns dependent; those are kept. With the parameters of rods regrouped with those of their carriers,
 
     Y theta = Y_kept beta
 
@@ -50,8 +50,8 @@ class RegroupedBody:
     carrier
         Index of the body that carries it, which comes before it; −1: that stands still, and has no columns.
     kept_combinations, carrier_combinations
-        The dependent columns are the kept ones times the former, shape (k, d), plus all ten of the carrier times the
-        latter, shape (10, d).
+        Factors of the kept columns, shape (k, d), and of the carrier's ten, shape (10, d). The dependent columns are
+        the sum of both products.
     """
 
     kept: Indices
@@ -134,8 +134,8 @@ class RegroupedModel:
 def regrouped(equation: LinearModel) -> RegroupedModel:
     """The equation without dependent columns of its bodies.
 
-    All columns are kept if the bodies have none, are known or have some of their parameters only, or if columns depend
-    on the coefficients.
+    All columns are kept if bodies are no unknowns, are known, or are given by a subset of their parameters. So they are
+    if columns depend on the coefficients.
     """
     rigid_bodies, *others = equation.effects
     if not isinstance(rigid_bodies, RigidBodies) or not rigid_bodies.is_complete:
@@ -171,7 +171,10 @@ def _regrouped_body(body: Body, subset: ParameterSubset) -> RegroupedBody:
 
 
 def _kept_parameters(body: Body) -> ParameterSubset:
-    """Parameters of a body whose columns are kept: all but as many as are transferable, in which the rod is large."""
+    """Parameters of a body whose columns are kept.
+
+    As many are left out as are transferable to the carrier: those in which the rod, along the axis, is large.
+    """
     if body.first_free_coordinate is not None:
         return ALL_PARAMETERS
     is_grounded = body.mount.body < 0

@@ -158,7 +158,7 @@ def reduce_log(task: LogTask) -> bytes | IdtoolError | None:
 
 
 def _reduced(task: LogTask) -> SavedReduction:
-    """A log's reduction."""
+    """Read and reduce a log; ConfigError if a delay of its controller would have to be fitted."""
     is_validated = task.holdout == 1
     logs, validate = ([], [task.path]) if is_validated else ([task.path], [])
     experiment = prepare(task.robot, task.config, logs, validate, 0.0 if is_validated else task.holdout)
@@ -288,14 +288,14 @@ def _reductions(
     files: dict[int, Path] = {}
     for i, task in tasks.items():
         name = task.file_name
-        files[i] = folder / (name or f"{task.log_name}{REDUCTION_SUFFIX}")
+        files[i] = folder / (name or f"{task.log_name}.unversioned{REDUCTION_SUFFIX}")
         reduction = _written_reduction(files[i], with_excerpts) if name else None
         if reduction is None:
             missing.append(i)
         else:
             reductions[i] = reduction
-    given_out = [replace(tasks[i], file=files[i] if cluster.is_local else None) for i in missing]
-    for k, outcome in cluster.evaluate(reduce_log, given_out):
+    missing_tasks = [replace(tasks[i], file=files[i] if cluster.is_local else None) for i in missing]
+    for k, outcome in cluster.evaluate(reduce_log, missing_tasks):
         i = missing[k]
         if isinstance(outcome, OutputError):
             raise outcome
@@ -324,7 +324,7 @@ def _written_reduction(file: Path, with_excerpts: bool) -> SavedReduction | None
 
 
 def _remove_outdated(file: Path, log_name: str) -> None:
-    """Remove the oldest reductions of a log, and what workers that ended left of this one."""
+    """Remove the oldest other reductions of a log, and unfinished files of this one from workers that were killed."""
     for unfinished in unfinished_files(file):
         unfinished.unlink(missing_ok=True)
     of_log = [other for other in file.parent.glob(f"{escape(log_name)}.*{REDUCTION_SUFFIX}") if other != file]
@@ -334,7 +334,7 @@ def _remove_outdated(file: Path, log_name: str) -> None:
 
 
 def _raise_common_error(failures: Collection[Exception], successes: int, enough: int) -> None:
-    """Raise the first of some errors if all logs have one that is not about the log, as of the configuration."""
+    """Raise the first error if no log succeeded, enough failed, and no error is about a log but all about settings."""
     if successes or len(failures) < enough:
         return
     errors = [error for error in failures if isinstance(error, IdtoolError) and not isinstance(error, LogError)]

@@ -103,7 +103,7 @@ def write_reduction(path: Path, reduction: SavedReduction) -> None:
 
 
 def unfinished_files(path: Path) -> list[Path]:
-    """What processes that ended have left of a file that they were writing."""
+    """Temporary files of a file that `write_reduction` began; those of processes that were killed remain."""
     return list(path.parent.glob(f".{escape(path.name)}.*.part"))
 
 

@@ -81,16 +81,16 @@ class EqualityConstraints:
         return tuple(constraint for constraint in self.constraints if constraint.standard_error is None)
 
     def free_columns(self, rows: Array, coefficients: Indices | None = None) -> Array:
-        """Columns of the coefficients that are no copies, rows K; zero where those of copies cancel.
+        """Columns of the coefficients that are no copies: the product of rows and K, exactly zero where copies cancel.
 
-        Rounding would leave a direction that, in units of its columns, looks as if the data determined it.
+        Their rounding errors, scaled to norm one, would look like a direction that the data determine.
 
         Parameters
         ----------
         rows
             The regressor's rows or a factor of them, shape (rows, p), or (rows, m) of some coefficients.
         coefficients
-            These m; None: all.
+            Indices of these m coefficients; None: all.
 
         Returns
         -------
@@ -98,8 +98,8 @@ class EqualityConstraints:
         """
         K = self.K if coefficients is None else self.K[coefficients]
         columns = rows @ K
-        summed_norms = np.linalg.norm(rows, axis=0) @ np.abs(K)
-        is_rounding = np.linalg.norm(columns, axis=0) < _ROUNDING * summed_norms
+        norms_without_cancelling = np.linalg.norm(rows, axis=0) @ np.abs(K)
+        is_rounding = np.linalg.norm(columns, axis=0) < _ROUNDING * norms_without_cancelling
         return np.where(is_rounding, 0.0, columns)
 
     def soft_rows(self) -> Array:

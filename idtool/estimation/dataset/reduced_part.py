@@ -93,6 +93,10 @@ class ReducedPart:
         """R-factors of [Y_j, tau_j, above_j] of the rows that count; of the blocks when it is first asked for."""
         return merge_reductions(list(self.blocks.values()))
 
+    def _forget_counted(self) -> None:
+        """Drop the cached `counted`, after a change of the blocks."""
+        self.__dict__.pop("counted", None)
+
     @property
     def comparison(self) -> Reduction:
         """R-factors of [Y_j, tau_j, above_j] of all rows."""
@@ -110,7 +114,7 @@ class ReducedPart:
         """
         for number, block in other.blocks.items():
             self.blocks[number] = merge(self.blocks[number], block) if number in self.blocks else block
-        self.__dict__.pop("counted", None)
+        self._forget_counted()
         self.excluded = merge(self.excluded, other.excluded)
         self.posture.merge(other.posture)
         self.extremes.merge(other.extremes)
@@ -132,7 +136,7 @@ class ReducedPart:
         """
         self.excluded, *blocks = with_all_columns([self.excluded, *self.blocks.values()], regrouped)
         self.blocks = dict(zip(self.blocks, blocks, strict=True))
-        self.__dict__.pop("counted", None)  # from these blocks again, as from those of a file: equal to the last bit
+        self._forget_counted()  # made of these blocks again, it equals that of a file to the last bit
         self.extremes.rows = [regrouped.all_columns(joint, rows) for joint, rows in enumerate(self.extremes.rows)]
         drawn = [regrouped.all_columns(joint, rows.T).T for joint, rows in enumerate(self.drawn.rows)]
         self.drawn = replace(self.drawn, rows=tuple(drawn))

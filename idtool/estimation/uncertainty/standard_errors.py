@@ -135,22 +135,24 @@ class Uncertainty:
     def degrees_of_freedom(self, rows: Array) -> Array:
         """Degrees of freedom of the standard errors of combinations, shape (k, p) to (k,).
 
-        Clusters are few, and fewer where some of them hold most of the information on a combination: Satterthwaite's,
-        at least 1 (Bell & McCaffrey 2002); more where measured constraints, whose errors are given, hold part of the
-        information. Infinite where the covariance was not estimated from clusters.
+        They are Satterthwaite's, at least 1 (Bell & McCaffrey 2002). They are fewer if some clusters hold most of the
+        information on a combination. They are more if measured constraints, whose errors are given, hold part of it.
+        Infinite where the covariance was not estimated from clusters.
         """
         if not len(self.cluster_information):
             return np.full(len(rows), np.inf)
         in_y = rows @ self.directions.observable
-        by_cluster = np.column_stack([_quadratic_form(in_y, information) for information in self.cluster_information])
-        of_clusters = by_cluster.sum(axis=1)
-        of_constraints = _quadratic_form(in_y, self.directions.soft)
-        squares = np.square(by_cluster).sum(axis=1)
-        effective_clusters = np.square(of_clusters) / np.where(squares > 0, squares, 1.0)
-        of_all = of_clusters + of_constraints
-        share_of_clusters = np.where(of_all > 0, of_clusters / np.where(of_all > 0, of_all, 1.0), 1.0)
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.maximum(effective_clusters - 1, 1.0) / np.square(share_of_clusters))
+        columns = [_quadratic_form(in_y, information) for information in self.cluster_information]
+        by_cluster = np.column_stack(columns)
+        cluster_information = by_cluster.sum(axis=1)
+        constraint_information = _quadratic_form(in_y, self.directions.soft)
+        total = cluster_information + constraint_information
+        sum_of_squares = np.square(by_cluster).sum(axis=1)
+        effective_clusters = np.square(cluster_information) / np.where(sum_of_squares > 0, sum_of_squares, 1.0)
+        of_clusters_alone = np.maximum(effective_clusters - 1, 1.0)
+        cluster_share = np.divide(cluster_information, total, out=np.ones_like(total), where=total > 0)
+        with np.errstate(divide="ignore"):  # infinite where constraints, of known variance, hold all information
+            return np.asarray(of_clusters_alone / np.square(cluster_share))
 
     def coverage_factor(self, rows: Array) -> Array:
         """Half the width of the 95 % interval of combinations in standard errors, by Student's t; (k, p) to (k,)."""
@@ -161,7 +163,7 @@ class Uncertainty:
 
 
 def _quadratic_form(x: Array, A: Array) -> Array:
-    """xᵀ A x of several x, shape (k, r) to (k,)."""
+    """xᵀ A x of each row x, shape (k, r) to (k,)."""
     return np.asarray(np.einsum("ki,ki->k", x @ A, x))
 
 
