@@ -22,6 +22,7 @@ from figures import assert_same_figures
 import idtool as package
 from idtool.common.cluster import open_cluster
 from idtool.common.exceptions import ConfigError
+from idtool.estimation import distributed_reduction
 
 FIGURES = ("bodies", "friction", "friction_intervals", "rms", "rms_raw", "noise", "samples", "regularization", "nrms")
 UNCERTAINTY = ("torque_standard_error", "torque_standard_error_largest", "torque_undetermined", "independent_samples")
@@ -140,9 +141,17 @@ def test_a_diagnosis_searches_samples_of_each_log(scheduler: str, logs: list[Pat
     assert len(list((tmp_path / "out" / "reductions").glob("*.idr"))) == len(logs)
 
 
+@pytest.mark.parametrize("is_version_known", [True, False])
 def test_a_process_on_this_machine_reduces_logs_to_one_file(
-    logs: list[Path], from_logs: package.FitResult, tmp_path: Path
+    logs: list[Path],
+    from_logs: package.FitResult,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    is_version_known: bool,
 ) -> None:
+    """Those of the single logs are removed, also of logs whose version a server does not tell."""
+    if not is_version_known:
+        monkeypatch.setattr(distributed_reduction, "version_of", lambda path: None)
     run = idtool("reduce", LEG, *logs, "--out", tmp_path / "all.idr", "--cluster", "local:1")
     assert run.code == 0, run.err
     assert list(tmp_path.iterdir()) == [tmp_path / "all.idr"]
