@@ -114,6 +114,8 @@ class Mechanism:
         True less measured position, shape (nv,) [rad or m].
     imu_delay
         Delay of the IMU of a floating base relative to the position [s].
+    differs_by_log
+        True if a torque acts during some logs only.
     """
 
     model: RobotModel
@@ -130,6 +132,7 @@ class Mechanism:
     torque_delay: Array = field(init=False)
     position_offset: Array = field(init=False)
     imu_delay: float = 0.0
+    differs_by_log: bool = False
 
     def __post_init__(self) -> None:
         nv = self.model.joint_count

@@ -24,6 +24,7 @@ from idtool.data.logs import JointLog
 from idtool.data.power_density import power_density
 from idtool.data.signals import Batch, Signals
 from idtool.dynamics.simulation.simulation import simulate
+from idtool.dynamics.simulation.windows import Window
 from idtool.estimation.dataset.blocks import Blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress, Rows, Run
 from idtool.estimation.evaluation.simulated_log import under_controller
@@ -229,29 +230,30 @@ def _simulated_log(experiment: Experiment, run: Run, theta: Array, progress: Pro
         signals = Signals(under_controller(log), signals.joints, experiment.config)
     mechanism = experiment.equation.mechanism(experiment.model, theta)
     simulated: dict[tuple[str, int], Array] = {}  # by signal and first sample
-    windows = _simulated_windows(run)
+    parts = _simulated_parts(run)
+    windows = [Window(signals, part) for part in parts]
     stage = f"simulating {log.path.name}"
     try:
-        for batch in simulate(mechanism, signals, windows, lambda share: progress(stage, share)):
+        for batch in simulate(mechanism, windows, lambda share: progress(stage, share)):
             if batch.diverged.any():
                 raise ModelError(mechanism.model.robot.path, "diverges under the logged command; check the controller")
-            for w, part in enumerate(batch.windows):
-                length = part.stop - part.start
-                simulated["q", part.start] = batch.q[:, w, :length]
-                simulated["tau", part.start] = batch.tau[:, w, :length]
+            for w, window in enumerate(batch.windows):
+                start, length = window.part.start, len(window)
+                simulated["q", start] = batch.q[:, w, :length]
+                simulated["tau", start] = batch.tau[:, w, :length]
     except ModelError as error:
         raise ModelError(error.where, f"{error.what}, {_ALTERNATIVE}") from None
-    return _even_log(run.signals, windows, ["q", "tau"], lambda name, part: simulated[name, part.start])
+    return _even_log(run.signals, parts, ["q", "tau"], lambda name, part: simulated[name, part.start])
 
 
-def _simulated_windows(run: Run) -> list[slice]:
+def _simulated_parts(run: Run) -> list[slice]:
     """The training part, from the beginning of each stretch to the samples that derivatives at its end need."""
-    windows = []
+    parts = []
     for part in run.train:
         usable = next(s for s in run.signals.ranges if s.start <= part.start < s.stop)
         stretch = next(s for s in run.signals.channels.stretches() if s.start <= part.start < s.stop)
-        windows.append(slice(stretch.start, part.stop + stretch.stop - usable.stop))
-    return windows
+        parts.append(slice(stretch.start, part.stop + stretch.stop - usable.stop))
+    return parts
 
 
 def _even_log(signals: Signals, parts: list[slice], names: list[str], read: Callable[[str, slice], Array]) -> JointLog:

@@ -6,6 +6,7 @@ Letters: m mass, b damping, k stiffness; W windows, N samples.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,9 @@ from idtool.common.exceptions import ModelError
 from idtool.data.logs.log import JointLog, make_log
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
+from idtool.dynamics.simulation import simulation
 from idtool.dynamics.simulation.simulation import SimulatedWindows, simulate
-from idtool.dynamics.simulation.windows import measured_states, split_into_windows
+from idtool.dynamics.simulation.windows import Window, measured_states, split_into_windows
 from idtool.robot.config import parse_config
 from idtool.robot.urdf.reading import Robot
 
@@ -53,7 +55,7 @@ def force(t: Array) -> Array:
 
 
 def run(machine: Mechanism, signals: Signals, windows: Sequence[slice]) -> list[SimulatedWindows]:
-    return list(simulate(machine, signals, windows, lambda share: None))
+    return list(simulate(machine, [Window(signals, part) for part in windows], lambda share: None))
 
 
 def exact(t: Array, tau: Array, q: float, v: float) -> tuple[Array, Array]:
@@ -72,7 +74,7 @@ def test_windows_follow_the_logged_torque_from_the_measured_state(
     signals = signals_of(log_of(t, q=0.1 * np.sin(7 * t), tau=force(t)))
     windows = [slice(0, rate), slice(rate, rate + 7), slice(rate + 7, 3 * rate), slice(3 * rate - 2, 3 * rate)]
     (found,) = run(mechanism(robot_of(sliders(M)), CONFIG), signals, windows)
-    assert found.windows == tuple(windows)
+    assert [window.part for window in found.windows] == windows
     assert not found.diverged.any()
     q0, v0 = measured_states(signals, [window.start for window in windows])
     np.testing.assert_allclose(v0[0], 0.7 * np.cos(7 * t[[w.start for w in windows]]), atol=1e-2)
@@ -198,15 +200,65 @@ def test_windows_do_not_know_of_each_other_and_come_in_order(robot_of: ReadRobot
     machine = mechanism(robot_of(sliders(M)), config)
     windows = [slice(4 * i, 4 * i + 5 + i % 7) for i in range(300)]
     shares: list[float] = []
-    found = list(simulate(machine, signals, windows, shares.append))
-    assert [window for some in found for window in some.windows] == windows
+    found = list(simulate(machine, [Window(signals, part) for part in windows], shares.append))
+    assert [window.part for some in found for window in some.windows] == windows
     assert len(found) > 1
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1)
-    together = [x.q[0, w, : b.stop - b.start] for x in found for w, b in enumerate(x.windows)]
+    together = [x.q[0, w, : len(window)] for x in found for w, window in enumerate(x.windows)]
     for i in (0, 1, 130, 299):
         (one,) = run(machine, signals, [windows[i]])
         np.testing.assert_allclose(one.q[0, 0], together[i], rtol=0, atol=1e-12)
+
+
+def test_windows_of_several_logs_advance_together(robot_of: ReadRobot) -> None:
+    """Each has its own clock, torque or command, gains and delay."""
+    machine = mechanism(robot_of(sliders(M)), {"friction": friction(["x1"], [B], [1.0]), "effects": [SPRING]})
+    slow, medium, fast = clock(300, 90), clock(800, 250), clock(3000, 1000)
+    controller = {"kp": {"x1": KP}, "kd": {"x1": KD}, "delay": 0.0201}
+    weak = {"kp": {"x1": KP / 2}, "delay": 0.0034}
+    logs = [
+        signals_of(log_of(slow, q=0.1 * np.sin(7 * slow), tau=force(slow)), filter={"cutoff_hz": 10}),
+        signals_of(log_of(medium, q=0.05 + 0 * medium, qcmd=wanted(medium)), controller=controller),
+        signals_of(log_of(fast, q=0.1 * np.sin(7 * fast), tau=2 * force(fast))),
+        signals_of(log_of(fast, q=0.02 + 0 * fast, qcmd=wanted(fast), vcmd=wanted(fast, 1)), controller=weak),
+    ]
+    windows = [Window(log, slice(start, start + 100 + 10 * i)) for i, log in enumerate(logs) for start in (0, 30, 60)]
+    (together,) = simulate(machine, windows, lambda share: None)
+    assert together.windows == tuple(windows)
+    for w, window in enumerate(windows):
+        (alone,) = simulate(machine, [window], lambda share: None)
+        for name in ("q", "v", "tau"):
+            own = getattr(together, name)[:, w, : len(window)]
+            np.testing.assert_allclose(own, getattr(alone, name)[:, 0], rtol=0, atol=1e-12)
+
+
+def test_a_contact_during_one_log_is_not_felt_in_the_others(robot_of: ReadRobot) -> None:
+    """Though all are simulated with one model."""
+    parameters = {"log": "log.csv", "windows": [[0.2, 0.6]], "wrench": [5.0, 0, 0, 0, 0, 0]}
+    push = {"effect": "external_contact", "link": "m1", "parameters": parameters}
+    t = clock(250, 250)
+    pushed = signals_of(log_of(t, q=0.1 + 0 * t, tau=force(t)))
+    other = signals_of(replace(pushed.log, path=Path("other.csv")))
+    parts = [Window(log, slice(0, 250)) for log in (pushed, other, pushed)]
+    free = mechanism(robot_of(sliders(M)), CONFIG)
+    with_push = mechanism(robot_of(sliders(M)), {**CONFIG, "effects": [SPRING, push]})
+    (expected,) = simulate(free, parts[:1], lambda share: None)
+    found = [some.q[0, w] for some in simulate(with_push, parts, lambda share: None) for w in range(len(some.windows))]
+    assert np.abs(found[0] - expected.q[0, 0]).max() > 0.01
+    np.testing.assert_allclose(found[1], expected.q[0, 0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found[2], found[0], rtol=0, atol=1e-12)
+
+
+def test_what_advances_together_is_bounded(robot_of: ReadRobot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Long windows of many logs would take much memory; few that are long are simulated one by one, in pieces."""
+    monkeypatch.setattr(simulation, "_MAX_SIZE", 2000)
+    t = clock(800, 250)
+    signals = signals_of(log_of(t, q=0.1 + 0 * t, tau=force(t)))
+    short, medium, long = [Window(signals, slice(0, count)) for count in (10, 200, 800)]
+    windows = [short] * 300 + [medium] * 12 + [long] * 2 + [short]
+    found = simulate(mechanism(robot_of(sliders(M)), CONFIG), windows, lambda share: None)
+    assert [len(some.windows) for some in found] == [200, 100, 10, 2, 1, 1, 1]
 
 
 @pytest.mark.parametrize("speed", [1e10, 2e3])  # m/s

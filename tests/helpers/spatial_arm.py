@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from idtool.dynamics.simulation.simulation import simulate
-from idtool.dynamics.simulation.windows import split_into_windows
+from idtool.dynamics.simulation.windows import Window, split_into_windows
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.estimation.evaluation.torque_errors import evaluate
 from idtool.robot.config import parse_config
@@ -194,5 +194,6 @@ def rolled_out(
     tried = experiment(urdf, csv, *entries, **config)
     mechanism = tried.equation.mechanism(tried.model, tried.equation.prior)
     signals, parts = tried.runs[0].signals, tried.runs[0].held_out
-    (found,) = simulate(mechanism, signals, split_into_windows(signals, parts, None), lambda share: None)
+    windows = [Window(signals, part) for part in split_into_windows(signals, parts, None)]
+    (found,) = simulate(mechanism, windows, lambda share: None)
     return np.asarray(found.q[:, 0].T - log["q"][: found.q.shape[2]])

@@ -183,6 +183,7 @@ class ExternalContact(LinkEffect):
     @override
     def add_to_forward_model(self, theta: Array, mechanism: Mechanism) -> None:
         mechanism.extra_torques.append(self.fixed_torque)
+        mechanism.differs_by_log |= self._log != ""
 
     def _wrench_torque(self, q: Array) -> Array:
         """Jᵀ wrench, shape (nv, N)."""

@@ -47,7 +47,7 @@ class Forces:
     input_torque
         The torque that acts, a continuous function of time and of the state of the motor sides.
     log
-        File name of the log whose torque it is; empty: none.
+        File name of the log whose torque it is; empty: none, or several.
     base_motion
         Measured motion of a floating base; None: the base is fixed.
     """

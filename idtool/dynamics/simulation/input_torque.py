@@ -11,10 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.data.controller import JointController
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.signal_interpolation import SignalInterpolation
-from idtool.dynamics.simulation.windows import gapless_range
+from idtool.dynamics.simulation.windows import Window, gapless_range
 
 _MAX_STEP_OF_TWO = 2.5e-3  # s: longest step that takes two samples
 
@@ -22,43 +23,42 @@ _MAX_STEP_OF_TWO = 2.5e-3  # s: longest step that takes two samples
 class InputTorque:
     """The torque on the joints, as `Rollouts` call it.
 
-    Between samples, torque and command are interpolated; the command is the one before the controller's delay. The log
-    and the controller have what the mechanism's sensors give.
+    Between samples, torque and command are interpolated; the command is the one before the controller's delay. Logs and
+    controllers have what the mechanism's sensors give.
 
     Parameters
     ----------
-    signals
-        The log.
     windows
         One window per rollout.
     mechanism
         Its sensors are used.
     """
 
-    def __init__(self, signals: Signals, windows: Sequence[slice], mechanism: Mechanism) -> None:
-        self._signals = signals
+    def __init__(self, windows: Sequence[Window], mechanism: Mechanism) -> None:
         self._mechanism = mechanism
-        command = signals.controller
-        by_command = command.joints[:, None]
+        controllers = [window.signals.controller for window in windows]
+        by_command = np.array([controller.joints for controller in controllers])
         self._has_controller = bool(by_command.any())
         self._logged_torque = None
         if not by_command.all():
-            smooth = samples_per_step(signals) == 2
-            self._logged_torque = SignalInterpolation(signals, windows, self._read_torque, delay=0.0, smooth=smooth)
+            no_delay = np.zeros(len(windows))
+            smooth = np.array([samples_per_step(window.dt) == 2 for window in windows])
+            self._logged_torque = SignalInterpolation(windows, self._read_torque, no_delay, smooth)
         if self._has_controller:
-            command.check_gains()
-            self._kp = command.kp * by_command
-            self._kd = command.kd * by_command
-            self._command = SignalInterpolation(signals, windows, self._read_command, delay=command.delay)
+            self._kp, self._kd = np.concatenate([_gains(controller) for controller in controllers], axis=2)
+            delay = np.array([controller.delay for controller in controllers])
+            self._command = SignalInterpolation(windows, _read_command, delay)
 
-    def _read_torque(self, part: slice) -> Array:
+    def _read_torque(self, signals: Signals, part: slice) -> Array:
         """Logged torque at the time of the position, shape (nv, samples); zero for joints with a controller."""
-        channels = self._signals.channels
+        channels = signals.channels
+        if "tau" not in signals.log.signals:
+            return np.zeros((len(signals.joints), part.stop - part.start))
         delays = self._mechanism.torque_delay
         tau = channels.signal("tau", part)
         if delays.any():
-            dt = self._signals.log.dt
-            gapless = gapless_range(self._signals, part)
+            dt = signals.log.dt
+            gapless = gapless_range(signals, part)
             reach = int(np.ceil(np.abs(delays).max() / dt)) + 1
             near = slice(max(part.start - reach, gapless.start), min(part.stop + reach, gapless.stop))
             t = np.arange(part.start, part.stop) * dt
@@ -66,21 +66,13 @@ class InputTorque:
             tau_near = channels.signal("tau", near)
             rows = [np.interp(t + delay, t_near, row) for delay, row in zip(delays, tau_near, strict=True)]
             tau = np.stack(rows)
-        return np.where(self._signals.controller.joints[:, None], 0.0, tau)
-
-    def _read_command(self, part: slice) -> Array:
-        """The command times its gains, kp qcmd + kd vcmd, shape (nv, samples)."""
-        total = np.zeros((len(self._kp), part.stop - part.start))
-        for name, gain in (("qcmd", self._kp), ("vcmd", self._kd)):
-            if name in self._signals.log.signals:
-                total += gain * np.nan_to_num(self._signals.channels.signal(name, part), nan=0.0)
-        return total
+        return np.where(signals.controller.joints[:, None], 0.0, tau)
 
     def measured_torque(self, t: Array, q: Array, v: Array, rollout_ids: Indices) -> Array:
         """Torque that the sensors give at measured states of rollouts, shape (nv, w)."""
         tau = np.zeros_like(q) if self._logged_torque is None else self._logged_torque(t, rollout_ids)
         if self._has_controller:
-            tau += self._command(t, rollout_ids) - self._kp * q - self._kd * v
+            tau += self._command(t, rollout_ids) - self._kp[:, rollout_ids] * q - self._kd[:, rollout_ids] * v
         return tau
 
     def __call__(self, t: Array, q: Array, v: Array, rollout_ids: Indices) -> Array:
@@ -101,6 +93,21 @@ class InputTorque:
         return tau
 
 
-def samples_per_step(signals: Signals) -> int:
-    """Samples of the log per step of the simulation."""
-    return 2 if 2 * signals.log.dt <= _MAX_STEP_OF_TWO else 1
+def _gains(controller: JointController) -> Array:
+    """Proportional and derivative gain of each joint, shape (2, nv, 1); zero for joints without the controller."""
+    controller.check_gains()
+    return np.where(controller.joints[:, None], [controller.kp, controller.kd], 0.0)
+
+
+def _read_command(signals: Signals, part: slice) -> Array:
+    """The command times its gains, kp qcmd + kd vcmd, shape (nv, samples)."""
+    total = np.zeros((len(signals.joints), part.stop - part.start))
+    for name, gain in zip(("qcmd", "vcmd"), _gains(signals.controller), strict=True):
+        if name in signals.log.signals:
+            total += gain * np.nan_to_num(signals.channels.signal(name, part), nan=0.0)
+    return total
+
+
+def samples_per_step(dt: float) -> int:
+    """Samples per step of the simulation of a log with a sample time [s]."""
+    return 2 if 2 * dt <= _MAX_STEP_OF_TWO else 1

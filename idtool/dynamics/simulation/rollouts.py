@@ -53,9 +53,10 @@ class Rollouts:
     input_torque
         The torque that acts, a continuous function of time and of the state of the motor sides.
     step
-        The longest step [s]. All whole multiples of it after the start are ends of steps.
+        The longest step of each [s], shape (W,), or of all. All whole multiples of it after the start are ends of
+        steps.
     log
-        File name of the log whose torque acts; empty: none.
+        File name of the log whose torque acts; empty: none, or several.
     base_motion
         Measured motion of a floating base; None: the base is fixed.
     """
@@ -67,7 +68,7 @@ class Rollouts:
         q: Array,
         v: Array,
         input_torque: InputTorqueFunction,
-        step: float = LONGEST_STEP,
+        step: Array | float = LONGEST_STEP,
         log: str = "",
         base_motion: BaseMotionFunction | None = None,
     ) -> None:
@@ -75,8 +76,8 @@ class Rollouts:
         self._state = self._forces.initial_state(t, q, v)
         count = len(t)
         self._grid_start = t.copy()
-        self._step = step
-        self._max_step = np.full(count, step)
+        self._step = np.broadcast_to(step, count)
+        self._max_step = self._step.copy()
         self._rates = np.zeros(count)
         self._step_count = np.zeros(count, dtype=np.intp)
         self._event_count = np.zeros(count, dtype=np.intp)
@@ -121,7 +122,7 @@ class Rollouts:
         self._state.assign(rollout_ids, state)
         self._grid_start[rollout_ids] = t
         self._step_count[rollout_ids] = 0
-        self._max_step[rollout_ids] = self._step
+        self._max_step[rollout_ids] = self._step[rollout_ids]
 
     def advance(self, until: Array, on_step: StepCallback | None = None) -> None:
         """Advance the rollouts to later times.
@@ -144,7 +145,7 @@ class Rollouts:
             for some_ids in (rollout_ids[stiff], rollout_ids[~stiff]):
                 if some_ids.size:
                     self._take_step(some_ids, until, on_step)
-            rollout_ids = rollout_ids[until[rollout_ids] > self.t[rollout_ids] + slack]
+            rollout_ids = rollout_ids[until[rollout_ids] > (self.t + slack)[rollout_ids]]
         np.maximum(self.t, until, out=self.t)
 
     def _take_step(self, rollout_ids: Indices, until: Array, on_step: StepCallback | None) -> None:
@@ -163,11 +164,12 @@ class Rollouts:
         """Longest admissible length of the next steps [s], shape (w,)."""
         t = self.t[rollout_ids]
         grid_start = self._grid_start[rollout_ids]
-        grid_steps = np.floor((t - grid_start) / self._step + _ROUNDING)
-        at_grid_point = t - grid_start - grid_steps * self._step < _ROUNDING * self._step
+        step = self._step[rollout_ids]
+        grid_steps = np.floor((t - grid_start) / step + _ROUNDING)
+        at_grid_point = t - grid_start - grid_steps * step < _ROUNDING * step
         self._event_count[rollout_ids[at_grid_point]] = 0
 
-        next_grid_point = grid_start + (grid_steps + 1) * self._step
+        next_grid_point = grid_start + (grid_steps + 1) * step
         remaining = np.minimum(until[rollout_ids], next_grid_point) - t
         rates = self._rates[rollout_ids]
         stable = np.where(rates > _STIFF_RATE, _STIFF_STEP, _STABLE / np.maximum(rates, _SLOWEST))
@@ -265,8 +267,9 @@ class Rollouts:
         end, error = runge_kutta(self._forces, start, step)
         max_error = _MAX_ERROR * (1 + np.abs(start.v).max(axis=0))
         max_step = self._max_step[rollout_ids]
-        self._max_step[rollout_ids] = np.where(error > max_error, max_step, np.minimum(2 * max_step, self._step))
-        shortest = _SHORTEST * self._step
+        longest = self._step[rollout_ids]
+        self._max_step[rollout_ids] = np.where(error > max_error, max_step, np.minimum(2 * max_step, longest))
+        shortest = _SHORTEST * longest
         rejected = np.flatnonzero((error > max_error) & (step > shortest))
         if rejected.size:
             step = step.copy()
@@ -275,5 +278,5 @@ class Rollouts:
             part, error = runge_kutta(self._forces, start.select(rejected), step[rejected])
             end.assign(rejected, part)
             self._max_step[rollout_ids[rejected]] = step[rejected]
-            rejected = rejected[(error > max_error[rejected]) & (step[rejected] > shortest)]
+            rejected = rejected[(error > max_error[rejected]) & (step[rejected] > shortest[rejected])]
         return end, step

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from idtool.common.arrays import Array, Indices
+from idtool.common.arrays import Array, Indices, Mask
 from idtool.data.signals import Signals
-from idtool.dynamics.simulation.windows import gapless_range, start_times
+from idtool.dynamics.simulation.windows import Window, gapless_range
 
 
 class SignalInterpolation:
@@ -22,56 +22,57 @@ class SignalInterpolation:
 
     Parameters
     ----------
-    signals
-        The log.
     windows
         One window per rollout.
     read
-        Signal at samples of the log, shape (k, samples).
+        Signal at samples of a log, shape (k, samples).
     delay
-        The value is that so long before [s].
+        The value is that so long before, shape (W,) [s].
     smooth
-        See above.
+        True for the windows of which this is done, shape (W,); see above.
     known_range
         Samples about a window at which the signal is known.
     """
 
     def __init__(
         self,
-        signals: Signals,
-        windows: Sequence[slice],
-        read: Callable[[slice], Array],
-        delay: float,
-        smooth: bool = False,
+        windows: Sequence[Window],
+        read: Callable[[Signals, slice], Array],
+        delay: Array,
+        smooth: Mask | None = None,
         known_range: Callable[[Signals, slice], slice] = gapless_range,
     ) -> None:
-        dt = signals.log.dt
-        reach = int(np.ceil(abs(delay) / dt))
+        dt = np.array([window.dt for window in windows])
+        reach = int(np.ceil(np.abs(delay) / dt).max())
         samples_before = reach + 2
-        length = samples_before + max(window.stop - window.start for window in windows) + 3 + reach
+        length = samples_before + max(map(len, windows)) + 3 + reach
         samples = []
         for window in windows:
-            known = known_range(signals, window)
-            samples.append(_read_padded(read, window.start - samples_before, length, known))
+            known = known_range(window.signals, window.part)
+            samples.append(_read_padded(window, read, window.part.start - samples_before, length, known))
         x = np.stack(samples, axis=1)
-        if smooth:
-            x[:, :, 1:-1] = (x[:, :, :-2] + 2 * x[:, :, 1:-1] + x[:, :, 2:]) / 4
+        if smooth is not None:
+            rough = x[:, smooth]
+            x[:, smooth, 1:-1] = (rough[:, :, :-2] + 2 * rough[:, :, 1:-1] + rough[:, :, 2:]) / 4
+        start_times = np.array([window.start_time for window in windows])
         self._x = x
         self._difference = np.diff(x)
         self._rate = 1 / dt
-        self._origin = samples_before - (start_times(signals, windows) + delay) / dt
+        self._origin = samples_before - (start_times + delay) / dt
 
     def __call__(self, t: Array, rollout_ids: Indices) -> Array:
         """Values, shape (k, w), at times, shape (w,) [s]."""
-        position = t * self._rate + self._origin[rollout_ids]
+        position = t * self._rate[rollout_ids] + self._origin[rollout_ids]
         index = position.astype(np.intp)
         difference = self._difference[:, rollout_ids, index]
         return np.asarray(self._x[:, rollout_ids, index] + (position - index) * difference)
 
 
-def _read_padded(read: Callable[[slice], Array], first: int, length: int, known: slice) -> Array:
+def _read_padded(
+    window: Window, read: Callable[[Signals, slice], Array], first: int, length: int, known: slice
+) -> Array:
     """Samples of a signal, those outside the range in which it is known being as at its end."""
     end = first + length
     start = max(first, known.start)
     stop = min(end, known.stop)
-    return np.pad(read(slice(start, stop)), [(0, 0), (start - first, end - stop)], mode="edge")
+    return np.pad(read(window.signals, slice(start, stop)), [(0, 0), (start - first, end - stop)], mode="edge")

@@ -1,7 +1,8 @@
-"""Simulation of a model along a log: under the logged torque, or closed loop under the joint controller.
+"""Simulation of a model along logs: under the logged torque, or closed loop under the joint controller.
 
-A rollout starts from the measured state. Those of many windows advance together. A floating base moves as measured, so
-that the joints are those of a robot on a moving platform; the windows are without forces on other links.
+A rollout starts from the measured state. Those of many windows advance together, whatever logs they are of. A floating
+base moves as measured, so that the joints are those of a robot on a moving platform; the windows are without forces on
+other links.
 
 Shapes: nv joints, W rollouts, N samples of the longest. Units: rad or m, s, N·m or N.
 """
@@ -22,9 +23,10 @@ from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.input_torque import InputTorque, samples_per_step
 from idtool.dynamics.simulation.rollout_state import RolloutState, interpolate
 from idtool.dynamics.simulation.signal_interpolation import SignalInterpolation
-from idtool.dynamics.simulation.windows import measured_states, start_times, usable_range
+from idtool.dynamics.simulation.windows import Window, measured_states, usable_range
 
 _MAX_TOGETHER = 256  # rollouts that advance together
+_MAX_SIZE = 1 << 22  # numbers in one signal of theirs
 _FEW = 8  # windows, fewer than which are cut into pieces
 _PIECE = 1.0  # s
 _ROUNDING = 1e-6  # of a sample
@@ -39,12 +41,12 @@ Report = Callable[[float], None]  # told the share that is done
 
 @dataclass(frozen=True)
 class SimulatedWindows:
-    """Rollouts along windows of a log.
+    """Rollouts along windows of logs.
 
     Attributes
     ----------
     windows
-        The samples of the log that each covers, the first being its start.
+        The samples that each covers.
     q, v, tau
         Position, velocity and torque as sensors would give them, shape (nv, W, N); samples beyond the end of a shorter
         window are undefined.
@@ -52,26 +54,22 @@ class SimulatedWindows:
         True for rollouts that diverged and were stopped, shape (W,).
     """
 
-    windows: tuple[slice, ...]
+    windows: tuple[Window, ...]
     q: Array
     v: Array
     tau: Array
     diverged: Mask
 
 
-def simulate(
-    mechanism: Mechanism, signals: Signals, windows: Sequence[slice], report: Report
-) -> Iterator[SimulatedWindows]:
-    """Run a model along windows of a log.
+def simulate(mechanism: Mechanism, windows: Sequence[Window], report: Report) -> Iterator[SimulatedWindows]:
+    """Run a model along windows of logs.
 
     Parameters
     ----------
     mechanism
         The model.
-    signals
-        The log.
     windows
-        Samples of the log, no gap within one.
+        Samples of logs that have the same joints.
     report
         Callback for the share that is done.
 
@@ -84,51 +82,76 @@ def simulate(
     ModelError
         If the model can't move: its mass matrix is not positive definite.
     """
-    lengths = [window.stop - window.start for window in windows]
-    total = max(sum(lengths), 1)
-    in_pieces = len(windows) < _FEW and max(lengths, default=0) > 2 * _piece_length(signals)
-    count = 1 if in_pieces else _MAX_TOGETHER
+    total = max(sum(map(len, windows)), 1)
     done = 0
-    for first in range(0, len(windows), count):
-        some = tuple(windows[first : first + count])
-        size = sum(lengths[first : first + count])
+    for some in _batches(mechanism, windows):
+        size = sum(map(len, some))
         report_part = partial(_report_part, report, done / total, size / total)
-        if in_pieces:
-            yield _simulate_in_pieces(mechanism, signals, some[0], report_part)
+        if len(some) == 1 and _is_long(some[0]):
+            yield _simulate_in_pieces(mechanism, some[0], report_part)
         else:
-            run = _Run(mechanism, signals, some)
+            run = _Run(mechanism, some)
             run.advance(np.arange(len(some)), report_part)
             yield run.result()
         done += size
+
+
+def _batches(mechanism: Mechanism, windows: Sequence[Window]) -> Iterator[tuple[Window, ...]]:
+    """Windows that advance together; of a few long ones, each by itself, to be cut into pieces."""
+    most_samples = _MAX_SIZE // max(mechanism.model.joint_count, 1)
+    batch: list[Window] = []
+    longest = 0
+    for window in windows:
+        longest = max(longest, len(window))
+        is_full = len(batch) == _MAX_TOGETHER or (len(batch) + 1) * longest > most_samples
+        is_of_other_log = mechanism.differs_by_log and bool(batch) and window.signals is not batch[0].signals
+        if batch and (is_full or is_of_other_log):
+            yield from _single_if_few_and_long(batch)
+            batch = []
+            longest = len(window)
+        batch.append(window)
+    yield from _single_if_few_and_long(batch)
+
+
+def _single_if_few_and_long(batch: Sequence[Window]) -> Iterator[tuple[Window, ...]]:
+    """The windows together, or each by itself if they are few and one is long."""
+    if len(batch) < _FEW and any(_is_long(window) for window in batch):
+        for window in batch:
+            yield (window,)
+    elif batch:
+        yield tuple(batch)
+
+
+def _is_long(window: Window) -> bool:
+    """True if it is worth cutting into pieces."""
+    return len(window) > 2 * _piece_length(window)
 
 
 def _report_part(report: Report, before: float, size: float, share: float) -> None:
     report(before + size * share)
 
 
-def _piece_length(signals: Signals) -> int:
+def _piece_length(window: Window) -> int:
     """Samples of a piece."""
-    return max(round(_PIECE / signals.log.dt), 1)
+    return max(round(_PIECE / window.dt), 1)
 
 
-def _simulate_in_pieces(mechanism: Mechanism, signals: Signals, window: slice, report: Report) -> SimulatedWindows:
+def _simulate_in_pieces(mechanism: Mechanism, window: Window, report: Report) -> SimulatedWindows:
     """One long rollout, section by section, each in pieces that advance together."""
-    count = window.stop - window.start
-    q, v, tau = np.empty((3, len(signals.joints), 1, count))
+    count = len(window)
+    q, v, tau = np.empty((3, len(window.signals.joints), 1, count))
     diverged = False
     state_vector = None
-    section_length = _MAX_TOGETHER * _piece_length(signals)
-    for first in range(window.start, window.stop - 1, section_length):
-        section = slice(first, min(first + section_length + 1, window.stop))
-        before = (first - window.start) / count
-        size = (section.stop - section.start) / count
-        run = _simulate_section(mechanism, signals, section, state_vector, partial(_report_part, report, before, size))
+    for section in _cut(window, _MAX_TOGETHER * _piece_length(window)):
+        before = (section.part.start - window.part.start) / count
+        size = len(section) / count
+        run = _simulate_section(mechanism, section, state_vector, partial(_report_part, report, before, size))
         state_vector = run.rollouts.state_vector[:, -1:]
         pieces = run.result()
         for w, piece in enumerate(pieces.windows):
-            start = piece.start - window.start
-            at = slice(start, piece.stop - window.start)
-            length = piece.stop - piece.start
+            length = len(piece)
+            start = piece.part.start - window.part.start
+            at = slice(start, start + length)
             if diverged:  # no state to begin in: stay where the rollout was stopped
                 q[:, 0, at] = q[:, 0, start, None]
                 v[:, 0, at] = 0.0
@@ -141,19 +164,22 @@ def _simulate_in_pieces(mechanism: Mechanism, signals: Signals, window: slice, r
     return SimulatedWindows((window,), q, v, tau, np.array([diverged]))
 
 
-def _simulate_section(
-    mechanism: Mechanism, signals: Signals, section: slice, state_vector: Array | None, report: Report
-) -> _Run:
+def _cut(window: Window, length: int) -> tuple[Window, ...]:
+    """Parts of a window with a number of samples, each of which ends with the first sample of the next."""
+    part = window.part
+    parts = [slice(first, min(first + length + 1, part.stop)) for first in range(part.start, part.stop - 1, length)]
+    return tuple(Window(window.signals, part) for part in parts)
+
+
+def _simulate_section(mechanism: Mechanism, section: Window, state_vector: Array | None, report: Report) -> _Run:
     """A section from a state, shape (states, 1), or the measured one, in pieces that each begin where the last ended.
 
     At first each but the first begins in the measured state, and those that did not begin where the piece before them
     ended are done again from there. A controller makes motions forget how they began, so that few passes settle all;
     where it does not, they are done one after the other.
     """
-    length = _piece_length(signals)
-    firsts = range(section.start, section.stop - 1, length)
-    pieces = tuple(slice(first, min(first + length + 1, section.stop)) for first in firsts)
-    run = _Run(mechanism, signals, pieces)
+    pieces = _cut(section, _piece_length(section))
+    run = _Run(mechanism, pieces)
     if state_vector is not None:
         run.restart(np.zeros(1, dtype=np.intp), state_vector)
     todo = np.arange(len(pieces))
@@ -172,7 +198,7 @@ def _simulate_section(
 
 
 class _Run:
-    """Rollouts that advance together, and their motion at the log's samples.
+    """Rollouts that advance together, and their motion at the samples of their logs.
 
     Attributes
     ----------
@@ -182,23 +208,25 @@ class _Run:
         The states that they began in, shape (states, W).
     """
 
-    def __init__(self, mechanism: Mechanism, signals: Signals, windows: tuple[slice, ...]) -> None:
+    def __init__(self, mechanism: Mechanism, windows: tuple[Window, ...]) -> None:
         from idtool.dynamics.simulation.rollouts import LONGEST_STEP, Rollouts
 
         self._mechanism = mechanism
-        self._signals = signals
         self._windows = windows
-        self._t0 = start_times(signals, windows)
-        self._last = np.array([window.stop - window.start - 1 for window in windows])  # samples
-        self._input_torque = InputTorque(signals, windows, mechanism)
+        self._dt = np.array([window.dt for window in windows])
+        self._t0 = np.array([window.start_time for window in windows])
+        self._last = np.array([len(window) - 1 for window in windows])  # samples
+        self._input_torque = InputTorque(windows, mechanism)
         self._offset = mechanism.position_offset[:, None]
-        q, v = measured_states(signals, [window.start for window in windows])
-        measured_speeds = np.array([_fastest_measured(signals, window) for window in windows])
+        states = [measured_states(window.signals, [window.part.start]) for window in windows]
+        q, v = np.concatenate(states, axis=2)
+        measured_speeds = np.array([_fastest_measured(window) for window in windows])
         self._max_speed = np.maximum(_MAX_SPEED, _MAX_SPEEDUP * measured_speeds)
-        step = min(samples_per_step(signals) * signals.log.dt, LONGEST_STEP)
-        base = _base_motion(signals, windows, mechanism) if mechanism.model.has_floating_base else None
+        step = np.minimum([samples_per_step(dt) * dt for dt in self._dt], LONGEST_STEP)
+        base = _base_motion(windows, mechanism) if mechanism.model.has_floating_base else None
+        names = {window.signals.log.path.name for window in windows}
+        log = names.pop() if len(names) == 1 else ""
         with _immovable_as_error(mechanism):
-            log = signals.log.path.name
             self.rollouts = Rollouts(mechanism, self._t0, q + self._offset, v, self._input_torque, step, log, base)
             np.linalg.cholesky(self.rollouts.mass_matrix)
         self.initial_state_vector = self.rollouts.state_vector
@@ -216,10 +244,9 @@ class _Run:
     def advance(self, rollout_ids: Indices, report: Report) -> None:
         """Advance some rollouts to their ends."""
         rollouts = self.rollouts
-        dt = self._signals.log.dt
         self._q[:, rollout_ids, 0] = rollouts.q[:, rollout_ids] - self._offset
         self._v[:, rollout_ids, 0] = rollouts.v[:, rollout_ids]
-        durations = self._last * dt
+        durations = self._last * self._dt
         until = rollouts.t.copy()
         until[rollout_ids] = self._t0[rollout_ids] + durations[rollout_ids]
 
@@ -239,7 +266,7 @@ class _Run:
         """Stop diverged rollouts: they stay where they last were."""
         for rollout_id in rollout_ids:
             elapsed = self.rollouts.t[rollout_id] - self._t0[rollout_id]
-            k = int(elapsed / self._signals.log.dt)
+            k = int(elapsed / self._dt[rollout_id])
             self._q[:, rollout_id, k:] = self._q[:, rollout_id, max(k - 1, 0)][:, None]
             self._v[:, rollout_id, k:] = 0.0
         self._diverged[rollout_ids] = True
@@ -247,7 +274,7 @@ class _Run:
 
     def _record_samples(self, rollout_ids: Indices, start: RolloutState, end: RolloutState) -> None:
         """Record the motion at the samples that lie in a step."""
-        rate = 1 / self._signals.log.dt
+        rate = 1 / self._dt[rollout_ids]
         t0 = self._t0[rollout_ids]
         motor = self.rollouts.motor_coordinates
         start_sample = (start.t - t0) * rate
@@ -271,25 +298,26 @@ class _Run:
         tau = np.empty_like(self._q)
         rollout_ids = np.arange(len(self._windows))
         for k in range(tau.shape[2]):
-            t = self._t0 + np.minimum(k, self._last) * self._signals.log.dt
+            t = self._t0 + np.minimum(k, self._last) * self._dt
             tau[:, :, k] = self._input_torque.measured_torque(t, self._q[:, :, k], self._v[:, :, k], rollout_ids)
         return SimulatedWindows(self._windows, self._q, self._v, tau, self._diverged)
 
 
-def _fastest_measured(signals: Signals, window: slice) -> float:
+def _fastest_measured(window: Window) -> float:
     """Greatest measured speed of any joint in a window [rad/s or m/s]; 0 if none was measured."""
-    return float(np.fmax.reduce(np.abs(signals.velocity(window)), axis=None, initial=0.0))
+    return float(np.fmax.reduce(np.abs(window.signals.velocity(window.part)), axis=None, initial=0.0))
 
 
-def _base_motion(signals: Signals, windows: Sequence[slice], mechanism: Mechanism) -> SignalInterpolation:
+def _base_motion(windows: Sequence[Window], mechanism: Mechanism) -> SignalInterpolation:
     """Measured velocity and acceleration of a floating base along windows within the log's ``ranges``."""
     base = mechanism.model.base_coordinates
 
-    def read(part: slice) -> Array:
+    def read(signals: Signals, part: slice) -> Array:
         motion = signals.motion(part)
         return np.concatenate([motion.v[base], motion.a[base]])
 
-    return SignalInterpolation(signals, windows, read, delay=-mechanism.imu_delay, known_range=usable_range)
+    delay = np.full(len(windows), -mechanism.imu_delay)
+    return SignalInterpolation(windows, read, delay, known_range=usable_range)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Windows of a log: where simulations start, and from which state.
+"""`Window`: samples of a log along which a model is simulated; where windows start, and from which state.
 
 Shapes: nv joints, W windows. Units: rad or m, s.
 """
@@ -6,6 +6,7 @@ Shapes: nv joints, W windows. Units: rad or m, s.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +16,36 @@ from idtool.dynamics.contact_model import ContactModel, contacts_of
 
 _AROUND = 0.25  # periods of the band to either side from which a state is taken
 _MIN_SAMPLES = 3  # to either side for that
+
+
+@dataclass(frozen=True)
+class Window:
+    """Samples of a log along which a model is simulated.
+
+    Attributes
+    ----------
+    signals
+        The log.
+    part
+        The samples, the first being the start; no gap within them.
+    """
+
+    signals: Signals
+    part: slice
+
+    def __len__(self) -> int:
+        return int(self.part.stop - self.part.start)
+
+    @property
+    def dt(self) -> float:
+        """Sample time [s]."""
+        return self.signals.log.dt
+
+    @property
+    def start_time(self) -> float:
+        """Start, since the log's first sample [s]."""
+        first = slice(self.part.start, self.part.start + 1)
+        return float(self.signals.channels.times(first)[0] - self.signals.log.start)
 
 
 def gapless_range(signals: Signals, window: slice) -> slice:
@@ -41,12 +72,6 @@ def stretches_without_contact(signals: Signals, parts: Sequence[slice], contacts
         for first, stop in edges.tolist():
             stretches.append(slice(part.start + first, part.start + stop))
     return stretches
-
-
-def start_times(signals: Signals, windows: Sequence[slice]) -> Array:
-    """Start of each window, since the log's first sample [s], shape (W,)."""
-    times = [signals.channels.times(slice(window.start, window.start + 1))[0] for window in windows]
-    return np.asarray(np.array(times) - signals.log.start)
 
 
 def split_into_windows(

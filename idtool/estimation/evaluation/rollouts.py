@@ -22,7 +22,7 @@ from idtool.common.processes import in_processes
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.simulation import simulate
-from idtool.dynamics.simulation.windows import measured_states, split_into_windows, stretches_without_contact
+from idtool.dynamics.simulation.windows import Window, measured_states, split_into_windows, stretches_without_contact
 from idtool.estimation.dataset.envelope import Envelope, Trace
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
@@ -219,31 +219,30 @@ def _simulate_model(
 ) -> _ModelRollouts:
     """Rollouts of a model with coefficients ``theta``, shape (p,), in the windows of logs."""
     simulated = _ModelRollouts(RolloutError.none(experiment.model.joint_count))
-    for signals, windows in jobs:
-        mechanism = experiment.equation.mechanism(experiment.model, theta)
-        envelope = Envelope(windows, signals.log.t, _DRAWN)
-        rollouts = _rollouts(mechanism, signals, windows, progress)
-        simulated.envelopes.append(envelope)
-        try:
-            for part, (q, v, has_diverged) in zip(windows, rollouts, strict=True):
+    mechanism = experiment.equation.mechanism(experiment.model, theta)
+    rollouts = _rollouts(mechanism, jobs, progress)
+    try:
+        for signals, parts in jobs:
+            envelope = Envelope(parts, signals.log.t, _DRAWN)
+            simulated.envelopes.append(envelope)
+            for part in parts:
+                q, v, has_diverged = next(rollouts)
                 motion = _MeasuredMotion(signals, part, closed)
                 simulated.error.add(motion, q, v, signals.log.dt)
                 simulated.diverged += has_diverged
                 envelope.add(motion.t, {name: q})
-        except ModelError as error:
-            simulated.failure = str(error)
-            break
+    except ModelError as error:
+        simulated.failure = str(error)
     return simulated
 
 
-def _rollouts(
-    mechanism: Mechanism, signals: Signals, windows: Sequence[slice], progress: Progress
-) -> Iterator[tuple[Array, Array, bool]]:
-    """Position and velocity in each window, shape (nv, N), and true if the rollout diverged."""
-    stage = f"simulating {signals.log.path.name}"
-    for simulated in simulate(mechanism, signals, windows, lambda share: progress(stage, share)):
+def _rollouts(mechanism: Mechanism, jobs: Sequence[_Job], progress: Progress) -> Iterator[tuple[Array, Array, bool]]:
+    """Position and velocity in each window, shape (nv, N), and true if the rollout diverged; log after log."""
+    windows = [Window(signals, part) for signals, parts in jobs for part in parts]
+    stage = f"simulating {jobs[0][0].log.path.name if len(jobs) == 1 else 'the logs'}"
+    for simulated in simulate(mechanism, windows, lambda share: progress(stage, share)):
         for w, window in enumerate(simulated.windows):
-            length = window.stop - window.start
+            length = len(window)
             yield simulated.q[:, w, :length], simulated.v[:, w, :length], bool(simulated.diverged[w])
 
 

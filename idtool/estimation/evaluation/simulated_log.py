@@ -20,7 +20,7 @@ from idtool.data.logs import JointLog, make_log
 from idtool.data.logs.sensor_channels import channels_as_logged
 from idtool.data.signals import Signals
 from idtool.dynamics.simulation.simulation import simulate
-from idtool.dynamics.simulation.windows import split_into_windows, stretches_without_contact
+from idtool.dynamics.simulation.windows import Window, split_into_windows, stretches_without_contact
 from idtool.estimation.dataset.experiment import Experiment, Progress
 
 
@@ -132,13 +132,14 @@ def simulated_log(
     run = experiment.runs[0]
     signals, joints = run.signals, experiment.model.joint_names
     stretches = _simulated_stretches(experiment)
-    windows = split_into_windows(signals, stretches, window)
+    windows = [Window(signals, part) for part in split_into_windows(signals, stretches, window)]
     stage = f"simulating {signals.log.path.name}"
     mechanism = experiment.equation.mechanism(experiment.model, theta)
     rollouts = []
     diverged = 0
-    for batch in simulate(mechanism, signals, windows, lambda share: progress(stage, share)):
-        for w, part in enumerate(batch.windows):
+    for batch in simulate(mechanism, windows, lambda share: progress(stage, share)):
+        for w, simulated in enumerate(batch.windows):
+            part = simulated.part
             q, v, tau = (x[:, w, : part.stop - part.start] for x in (batch.q, batch.v, batch.tau))
             has_diverged = bool(batch.diverged[w])
             diverged += has_diverged
