@@ -40,9 +40,9 @@ from idtool.estimation.saved_reduction import (
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
 
-_BOUNDS: dict[str, Any] = {"bounding_ellipsoids": {}, "bounding_shapes": {}}  # which may need meshes
-_NOT_IN_ROWS = {  # keys of the configuration that a reduction does not depend on
-    *_BOUNDS,
+_WITHOUT_BOUNDS: dict[str, Any] = {"bounding_ellipsoids": {}, "bounding_shapes": {}}  # which may need meshes
+_WITHOUT_EFFECT_ON_ROWS = {  # keys of the configuration that a reduction does not depend on
+    *_WITHOUT_BOUNDS,
     *(
         "known_com",
         "constraints",
@@ -100,7 +100,7 @@ class LogTask:
         settings = {
             "idtool": VERSION,
             "urdf": hashlib.sha256(self.robot.text).hexdigest(),
-            "config": self.config.model_dump(mode="json", exclude=_NOT_IN_ROWS),
+            "config": self.config.model_dump(mode="json", exclude=_WITHOUT_EFFECT_ON_ROWS),
             "version": version,
             "holdout": self.holdout,
             "logs": self.log_count,
@@ -212,7 +212,7 @@ def reduce_on_cluster(
         If a log, the configuration or the model cannot be used, or a file cannot be written.
     """
     check_holdout(holdout)
-    config = config.model_copy(update=_BOUNDS)
+    config = config.model_copy(update=_WITHOUT_BOUNDS)
     holdouts = [0.0 if validate else holdout] * len(logs) + [1.0] * len(validate)
     log_count = rounded_count(len(holdouts))
     tasks = []
@@ -220,24 +220,27 @@ def reduce_on_cluster(
         tasks.append(LogTask(robot, config, path, own_holdout, log_count))
     reductions, failures = _reductions(cluster, dict(enumerate(tasks)), folder, progress, with_excerpts)
 
-    def check() -> None:
-        """Raise if a log cannot be used and is not to be skipped, or if none is left for the fit or validation."""
-        used = reductions.keys() - failures.keys()
-        has_training = any(i < len(logs) for i in used) or not needs_training
-        has_validation = any(i >= len(logs) for i in used) or not needs_validation
-        _check_failures(failures, skip_bad, has_training and has_validation)
+    def usable_logs() -> list[int]:
+        """Numbers of the logs that can be used; raises if a bad one is not to be skipped, or if too few are left."""
+        usable = sorted(reductions.keys() - failures.keys())
+        lacking = None
+        if needs_training and not any(i < len(logs) for i in usable):
+            lacking = "no other log can be used"
+        elif needs_validation and not any(i >= len(logs) for i in usable):
+            lacking = "no other log can be used for validation"
+        _check_failures(failures, skip_bad, lacking)
+        return usable
 
-    check()
     differing = {}
-    common = _common_settings(reductions) if reductions else None
-    for i, reduction in reductions.items():
-        if common is not None and not _has_settings(reduction, common):
-            differing[i] = replace(tasks[i], config=config.model_copy(update=common.changes(config)))
+    usable = usable_logs()
+    if usable:
+        common = _CommonSignals.of([reductions[i] for i in usable])
+        common_config = config.model_copy(update=common.changes(config))
+        differing = {i: replace(tasks[i], config=common_config) for i in usable if not common.are_in(reductions[i])}
     second_reductions, second_failures = _reductions(cluster, differing, folder, progress, with_excerpts)
     reductions |= second_reductions
     failures |= second_failures
-    check()
-    used = [i for i in range(len(tasks)) if i in reductions and i not in failures]
+    used = usable_logs()
     return ReducedLogs(
         training=tuple((tasks[i].path, reductions[i]) for i in used if i < len(logs)),
         validation=tuple((tasks[i].path, reductions[i]) for i in used if i >= len(logs)),
@@ -254,28 +257,27 @@ def remove_reductions(folder: Path) -> None:
 
 
 @dataclass(frozen=True)
-class _CommonSettings:
+class _CommonSignals:
     """Joints and cut-off that all logs share."""
 
     joints: tuple[str, ...]
     band_hz: float
 
+    @staticmethod
+    def of(reductions: Sequence[SavedReduction]) -> _CommonSignals:
+        """The joints that all logs have, in the order of the first, and the lowest of their cut-offs."""
+        first, *others = [reduction.settings["joints"] for reduction in reductions]
+        joints = [name for name in first if all(name in joints for joints in others)]
+        return _CommonSignals(tuple(joints), min(reduction.band_hz for reduction in reductions))
+
+    def are_in(self, reduction: SavedReduction) -> bool:
+        """True if a log was reduced with just these joints and this cut-off."""
+        return tuple(reduction.settings["joints"]) == self.joints and reduction.band_hz == self.band_hz
+
     def changes(self, config: Config) -> dict[str, Any]:
-        """The keys of a configuration that make it so."""
+        """The keys of a configuration that select them."""
         low_pass = config.filter.model_copy(update={"cutoff_hz": self.band_hz})
         return {"joints": self.joints, "filter": low_pass}
-
-
-def _common_settings(reductions: Mapping[int, SavedReduction]) -> _CommonSettings:
-    """The joints that all logs have, and the lowest of their cut-offs."""
-    first, *others = [reduction.settings["joints"] for reduction in reductions.values()]
-    joints = [name for name in first if all(name in joints for joints in others)]
-    return _CommonSettings(tuple(joints), min(reduction.band_hz for reduction in reductions.values()))
-
-
-def _has_settings(reduction: SavedReduction, common: _CommonSettings) -> bool:
-    """True if a log was reduced with the joints and the cut-off of all logs."""
-    return tuple(reduction.settings["joints"]) == common.joints and reduction.band_hz == common.band_hz
 
 
 def _reductions(
@@ -302,17 +304,26 @@ def _reductions(
         if isinstance(outcome, Exception):
             failures[i] = outcome
             _raise_common_error(failures.values(), len(reductions), min(len(tasks), cluster.threads + 1))
-        elif outcome is None:
-            reductions[i] = read_reduction(files[i], with_excerpts)
         else:
-            write_all(folder, {files[i].name: outcome})
-            reductions[i] = parse_reduction(files[i], outcome, with_excerpts)
+            reductions[i] = _new_reduction(files[i], outcome, with_excerpts)
         _remove_outdated(files[i], tasks[i].log_name)
-        failed = f", {len(failures)} failed" if failures else ""
-        processes = "1 process" if cluster.threads == 1 else f"{cluster.threads} processes"
-        stage = f"reducing {count_text(len(tasks), 'log')} on {processes}{failed}"
-        progress(stage, (len(reductions) + len(failures)) / len(tasks))
+        progress(_stage(cluster, len(tasks), len(failures)), (len(reductions) + len(failures)) / len(tasks))
     return reductions, {i: _log_error(tasks[i].path, error) for i, error in failures.items()}
+
+
+def _stage(cluster: Cluster, logs: int, failed: int) -> str:
+    """What is done, and how many logs have failed."""
+    processes = "1 process" if cluster.threads == 1 else f"{cluster.threads} processes"
+    stage = f"reducing {count_text(logs, 'log')} on {processes}"
+    return f"{stage}, {failed} failed" if failed else stage
+
+
+def _new_reduction(file: Path, content: bytes | None, with_excerpts: bool) -> SavedReduction:
+    """The reduction that a worker made: from its content, which is written to the file, or from the file it wrote."""
+    if content is None:
+        return read_reduction(file, with_excerpts)
+    write_all(file.parent, {file.name: content})
+    return parse_reduction(file, content, with_excerpts)
 
 
 def _written_reduction(file: Path, with_excerpts: bool) -> SavedReduction | None:
@@ -348,16 +359,16 @@ def _log_error(path: Path, error: Exception) -> LogError:
         return error
     reason = str(error) or type(error).__name__
     if isinstance(error, IdtoolError):
-        return LogError(path, f"does not fit the configuration, as other logs do: {reason}")
+        return LogError(path, f"does not fit the configuration: {reason}")
     return LogError(path, f"cannot be reduced: {reason}")
 
 
-def _check_failures(failures: Mapping[int, LogError], skip_bad: bool, is_enough: bool) -> None:
-    """Raise an error about the first log that cannot be used, unless such logs are left out and others are enough."""
-    if not failures or (skip_bad and is_enough):
+def _check_failures(failures: Mapping[int, LogError], skip_bad: bool, lacking: str | None) -> None:
+    """Raise an error about the first log that cannot be used, unless such logs are left out and nothing is lacking."""
+    if not failures or (skip_bad and lacking is None):
         return
     first, *others = [failures[i] for i in sorted(failures)]
-    advice = "no other log can be used" if not is_enough else "--skip-bad leaves such logs out"
+    advice = lacking or "--skip-bad leaves such logs out"
     if others:
         names = [Path(error.where).name for error in others[:_MAX_NAMED]]
         if len(others) > _MAX_NAMED:
