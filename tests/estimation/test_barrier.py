@@ -149,6 +149,7 @@ def test_where_rounding_leaves_nothing_there_is_no_step() -> None:
     assert step is not None
     np.testing.assert_allclose(step, [0, -1], atol=1e-15)
     assert _newton(np.array([[1.0, 1.0], [1.0, 1.0]]), np.ones(2), np.eye(2)) is None
+    np.testing.assert_array_equal(_newton(np.eye(2), np.ones(2), np.zeros((2, 0))), 0)
 
 
 def test_what_cannot_be_is_refused(stated: Stated) -> None:

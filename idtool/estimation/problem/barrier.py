@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.linalg import block_diag, lapack
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import SolverError
@@ -195,15 +195,17 @@ def _newton(H: Array, gradient: Array, N: Array | None) -> Array | None:
     """
     H_free = H if N is None else N.T @ H @ N
     gradient_free = gradient if N is None else N.T @ gradient
+    if not len(H_free):  # equations determine everything
+        return np.zeros_like(gradient)
     diagonal = H_free.diagonal()
     if not (diagonal > 0).all():
         return None
     size = 1 / np.sqrt(diagonal)
-    try:
-        factor = cho_factor(H_free * size[:, None] * size, check_finite=False)
-        step = -size * cho_solve(factor, size * gradient_free, check_finite=False)
-    except np.linalg.LinAlgError:
+    scaled = H_free * size[:, None] * size
+    _, solution, failure = lapack.dposv(scaled.T, size * gradient_free, overwrite_a=True)  # scaled is symmetric
+    if failure:
         return None
+    step = -size * solution
     return np.asarray(step if N is None else N @ step)
 
 

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from idtool.common.arrays import Array
 from idtool.common.memory import release_freed_memory
@@ -268,14 +267,14 @@ def _bootstrap_covariance(G: Array, s: Array, soft: Array, rng: np.random.Genera
 
     def estimates(weights: Array) -> Array:
         H = np.empty((_DRAWS_AT_ONCE, *soft.shape))  # always the same memory: new memory takes longer than the product
-        y = np.empty((len(weights), len(soft)))
+        y = np.empty((len(weights), len(soft), 1))
         for first in range(0, len(weights), _DRAWS_AT_ONCE):
             w = weights[first : first + _DRAWS_AT_ONCE]
             np.matmul(w, flat, out=H.reshape(len(w), -1))
             H += soft
-            for i, (information, score) in enumerate(zip(H, w @ s, strict=True), start=first):
-                y[i] = cho_solve(cho_factor(information, overwrite_a=True, check_finite=False), score)
-        return y
+            scores = w @ s
+            y[first : first + _DRAWS_AT_ONCE] = np.linalg.solve(H, scores[:, :, None])
+        return y[:, :, 0]
 
     shares = np.split(weights, _SHARES)
     y = np.concatenate(in_threads(estimates, shares, _DRAWS * soft.size))
