@@ -57,6 +57,7 @@ def from_wheel(site_packages: Path, *arguments: object, folder: Path) -> Result:
     return Result(done.returncode, done.stdout, done.stderr)
 
 
+@pytest.mark.slow
 def test_the_wheel_is_small_and_contains_no_scripts_of_the_samples(wheel: Path, site_packages: Path) -> None:
     assert wheel.stat().st_size < MAX_WHEEL_SIZE
     assert {path.name for path in site_packages.iterdir()} - {"bin"} == {"idtool", f"{wheel.name[:12]}.dist-info"}
@@ -64,6 +65,7 @@ def test_the_wheel_is_small_and_contains_no_scripts_of_the_samples(wheel: Path, 
     assert suffixes == {".urdf", ".yaml", ".json", ".xml", ".mcap", ".csv"}
 
 
+@pytest.mark.slow
 def test_a_sample_is_written_and_fitted(site_packages: Path, tmp_path: Path) -> None:
     done = from_wheel(site_packages, "sample", "leg", folder=tmp_path)
     assert done.code == 0, done.err

@@ -126,6 +126,7 @@ def test_a_study_is_that_of_one_process(
     assert len(list((tmp_path / "reductions").glob("*.idr"))) == len(logs)
 
 
+@pytest.mark.slow
 def test_a_diagnosis_searches_samples_of_each_log(scheduler: str, logs: list[Path], tmp_path: Path) -> None:
     """The logs are shorter than what is kept of them, so that it is the diagnosis of the logs."""
     bad = tmp_path / "bad.csv"

@@ -247,6 +247,7 @@ def test_a_diagnosis_of_a_short_log_is_that_of_the_log(tmp_path: Path) -> None:
         assert of_reduction[key] == of_log[key], key
 
 
+@pytest.mark.slow
 def test_a_diagnosis_of_long_logs_uses_windows_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Half of each log is enough to name the spring and to tell its stiffness; what is between is no lost time."""
     monkeypatch.setattr("idtool.estimation.dataset.reduced_logs._EXCERPT_SECONDS", (10.0, 10.0))

@@ -230,6 +230,7 @@ def test_a_heavier_link_is_found_and_written(heavy: Path, inertia: str) -> None:
     assert np.sqrt(np.mean(np.square(after - real))) < 0.1 * np.sqrt(np.mean(np.square(before - real)))
 
 
+@pytest.mark.slow
 def test_a_simulator_of_another_robot_is_named(heavy: Path) -> None:
     found = diagnosed(heavy, "light.csv", "--against", "heavy.csv", "--out", "other", *EFFECTS)
     (notice,) = [notice for notice in found["notices"] if notice["code"] == "simulator_bodies_differ"]

@@ -32,6 +32,10 @@ ASSETS = {"script": "src", "img": "src", "link": "href", "iframe": "src", "sourc
 
 RUN = [page for page in ALL if any(block.language in ("sh", "python") for block in blocks(page))]
 RUN_NAMES = [NAMES[ALL.index(page)] for page in RUN]
+IN_CI = ("README.md", "tutorial.md")  # of the quick commands
+SOME_SLOW = []
+for page, name in zip(RUN, RUN_NAMES, strict=True):
+    SOME_SLOW.append(pytest.param(page, marks=() if name in IN_CI else pytest.mark.slow))
 
 
 def commands(page: Path) -> set[str]:
@@ -39,7 +43,7 @@ def commands(page: Path) -> set[str]:
     return {line.partition("  #")[0].rstrip() for block in blocks(page) for line in block.commands}
 
 
-@pytest.mark.parametrize("page", RUN, ids=RUN_NAMES)
+@pytest.mark.parametrize("page", SOME_SLOW, ids=RUN_NAMES)
 def test_the_quick_commands_of_a_page_run(page: Path, tmp_path: Path, pytestconfig: pytest.Config) -> None:
     if page != README and commands(page) and commands(page) <= commands(README):
         return  # they are run there

@@ -50,6 +50,7 @@ def test_every_page_fits_a_phone_and_has_no_errors(site: Path, opened: Browser) 
         assert (found["wrong"], is_wide) == ([], False), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True])
 def test_colours_are_those_of_the_system(site: Path, opened: Browser, dark: bool) -> None:
     opened.use(site / "index.html", 1400, dark)
@@ -62,6 +63,7 @@ def test_colours_are_those_of_the_system(site: Path, opened: Browser, dark: bool
     assert (red < 128) == dark
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["index.html", "benchmarks.html"])
 def test_pictures_are_there_on_a_desk(site: Path, opened: Browser, name: str) -> None:
     found = opened.use(site / name, 1400, dark=False)
@@ -79,6 +81,7 @@ def searched(opened: Browser, words: str) -> list[str]:
     return links
 
 
+@pytest.mark.slow
 def test_search_works_without_a_server(site: Path, opened: Browser) -> None:
     opened.use(site / "howto" / "report.html", 1400, dark=False)
     assert searched(opened, "stribeck_fr")[0] == f"{(site / 'effects.html').as_uri()}#stribeck_friction"

@@ -201,6 +201,7 @@ def covers(s: Linear, draws: int, seed: int, a: float, length: int) -> tuple[Arr
     return tuple(hits / draws)  # type: ignore[return-value]
 
 
+@pytest.mark.slow
 def test_intervals_of_slow_residuals_hold_the_truth() -> None:
     """Residual and motion are both correlated over 10 rows; ordinary intervals, a row a sample, hold it too seldom."""
     ours, resampled, ordinary = covers(linear(2000, 3, correlation=0.9), 200, 1, 0.9, 20)

@@ -244,7 +244,9 @@ def test_what_ties_legs_together_is_minded(robot_of: Robots, monkeypatch: pytest
     assert set(sizes) == {problem.variables}
 
 
-@pytest.mark.parametrize("prior", [EUCLIDEAN, Regularization(kind="entropic", weight=1e-2)])
+@pytest.mark.parametrize(
+    "prior", [EUCLIDEAN, pytest.param(Regularization(kind="entropic", weight=1e-2), marks=pytest.mark.slow)]
+)
 def test_a_long_chain_has_all_its_ranges(robot_of: Robots, prior: Regularization) -> None:
     """Of some hundred rows of inequalities, the cost's level is one."""
     rng = np.random.default_rng(1)

@@ -106,6 +106,7 @@ def test_an_estimate_is_that_of_the_log_alone(arm: Arm) -> None:
     assert abs(np.mean(apart)) < 0.15
 
 
+@pytest.mark.slow
 def test_logs_of_one_truth_agree_nineteen_times_in_twenty(arm: Arm) -> None:
     """Where all agree, that anything at all is said to differ has a chance of 5 % at most (Benjamini & Hochberg 1995).
 

@@ -145,6 +145,7 @@ const change = range ? {{ "xaxis.range[0]": range[0], "xaxis.range[1]": range[1]
 return Plotly.relayout(document.querySelector('{TORQUE}'), change).then(() => null);"""
 
 
+@pytest.mark.slow
 def test_the_prior_is_drawn_where_asked_and_a_log_is_zoomed_as_one(
     page: Callable[[str], Path], opened: Browser
 ) -> None:

@@ -27,7 +27,7 @@ def distance(a: Mesh, b: Mesh) -> float:
     return float(np.linalg.norm(a.points[:, None] - b.points, axis=2).min(axis=1).max())
 
 
-@pytest.mark.parametrize("most", [200, 2000, 20_000])
+@pytest.mark.parametrize("most", [200, 2000, pytest.param(20_000, marks=pytest.mark.slow)])
 def test_a_mesh_with_fewer_faces_is_like_it(most: int) -> None:
     ring = of(trimesh.creation.torus(0.3, 0.1, major_sections=96, minor_sections=48))
     few = simplify_mesh(ring, most)
