@@ -85,6 +85,29 @@ def least_squares(matrix: Array, right: Array, rcond: float) -> tuple[Array, int
         return np.asarray(robust_solution), int(robust_rank)
 
 
+def nonnegative_least_squares(matrix: Array, right: Array) -> tuple[Array, float]:
+    """Least squares with x ≥ 0, and the norm of what it leaves of the right-hand side.
+
+    The solution without bounds is taken where it keeps them, since scipy.optimize takes a tenth of a second to import.
+
+    Parameters
+    ----------
+    matrix
+        Shape (n, m).
+    right
+        Right-hand side, shape (n,).
+    """
+    is_used = matrix.any(axis=0)
+    x = np.zeros(matrix.shape[1])
+    x[is_used], rank = least_squares(matrix[:, is_used], right, np.finfo(np.float64).eps)
+    if rank == np.count_nonzero(is_used) and (x >= 0).all():
+        return x, float(np.linalg.norm(right - matrix @ x))
+    from scipy.optimize import nnls
+
+    x, rest = nnls(matrix, right)
+    return x, float(rest)
+
+
 def append_rows(R: Array, rows: Array) -> None:
     """Update the triangular factor R of a QR decomposition by further rows, in place: RᵀR becomes RᵀR + rowsᵀ rows.
 

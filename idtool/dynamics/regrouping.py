@@ -98,7 +98,11 @@ class RegroupedModel:
         active = self.complete.active()[joint]
         is_of_body = active < PI_SIZE * len(self.bodies)
         body_indices = np.unique(active[is_of_body] // PI_SIZE).tolist()
-        columns = np.empty((*kept.shape[:-1], PI_SIZE * len(body_indices)))
+        kept_of_bodies = sum(len(self.bodies[i].kept) for i in body_indices)
+        further = kept[..., kept_of_bodies:]
+        count = PI_SIZE * len(body_indices)
+        columns = np.empty((*kept.shape[:-1], count + further.shape[-1]))
+        columns[..., count:] = further
         columns_by_body: dict[int, Array] = {}
         first_kept = 0
         for position, i in enumerate(body_indices):
@@ -112,8 +116,7 @@ class RegroupedModel:
             own_columns[..., body.dependent] = dependent
             columns_by_body[i] = own_columns
             first_kept += len(body.kept)
-        further = kept[..., first_kept:]
-        return np.concatenate([columns, further], axis=-1)
+        return columns
 
     def regrouped_values(self, theta: Array) -> Array:
         """Coefficients beta of the columns that are kept, shape (r,), from those of all columns, shape (p,)."""

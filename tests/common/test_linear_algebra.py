@@ -6,11 +6,13 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
 from idtool.common.linear_algebra import (
     append_rows,
     compressed_rows,
     least_squares,
+    nonnegative_least_squares,
     null_space,
     right_svd,
     svd,
@@ -121,3 +123,16 @@ def test_many_rows_give_a_triangle(rng: np.random.Generator, counts: tuple[int, 
         gram[np.ix_(own, own)] += part.T @ part
     np.testing.assert_allclose(found.T @ found, gram, atol=1e-12)
     assert (sum(counts) > 4 * 9) == (rows == 9 and np.array_equal(found, np.triu(found)))
+
+
+@pytest.mark.parametrize("binds", [False, True])
+def test_nonnegative_least_squares_is_that_of_scipy(rng: np.random.Generator, binds: bool) -> None:
+    """A bound may bind or not; a column of zeros has no share."""
+    matrix = np.insert(rng.normal(size=(50, 4)), 2, 0.0, axis=1)
+    truth = np.array([1.0, -0.5 if binds else 0.5, 0.0, 2.0, 0.1])
+    right = matrix @ truth + 0.01 * rng.normal(size=50)
+    x, rest = nonnegative_least_squares(matrix, right)
+    expected, expected_rest = nnls(matrix, right)
+    assert (x == 0).sum() == 1 + binds
+    np.testing.assert_allclose(x, expected, rtol=1e-9, atol=1e-12)
+    assert rest == pytest.approx(expected_rest)

@@ -12,6 +12,7 @@ import numpy as np
 
 from idtool.common.arrays import Array
 from idtool.common.exceptions import LogError
+from idtool.common.linear_algebra import nonnegative_least_squares
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.common.number_text import short_number
@@ -114,8 +115,6 @@ def _has_placeholder_masses(fit: ChannelFit) -> bool:
 
 def _scale_factors(fit: ChannelFit, change: Change, T: Array) -> tuple[dict[str, float], dict[str, float]]:
     """By joint, the torque's multiple of the URDF's weight and inertia, where the data determine it."""
-    from scipy.optimize import nnls
-
     joints = fit.equation.joints
     parts: list[list[Array]] = [[np.zeros((5, 0))] for _ in joints]
     for motion in map(change, fit.motions):
@@ -138,7 +137,7 @@ def _scale_factors(fit: ChannelFit, change: Change, T: Array) -> tuple[dict[str,
         if not size[-1] > 0:
             continue
         columns = x[:-1] / np.where(size[:-1] > 0, size[:-1], 1.0)[:, None]
-        share, rest = nnls(columns.T, x[-1] / size[-1])
+        share, rest = nonnegative_least_squares(columns.T, x[-1] / size[-1])
         if rest**2 > 1 - _MIN_EXPLAINED:
             continue
         for factors, k, min_share in ((weight, 0, _MIN_WEIGHT_SHARE), (inertia, 1, _MIN_INERTIA_SHARE)):

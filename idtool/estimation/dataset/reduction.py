@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.threads import in_threads
 from idtool.dynamics.regrouping import RegroupedModel
 
 
@@ -114,12 +115,17 @@ def with_all_columns(reductions: Sequence[Reduction], regrouped: RegroupedModel)
     regrouped
         The model without dependent columns.
     """
-    by_joint = []
-    for joint, factors in enumerate(zip(*reductions, strict=True)):
+    factors_by_joint = list(zip(*reductions, strict=True))
+
+    def with_own_columns(joint: int) -> list[Factor]:
+        factors = factors_by_joint[joint]
         rows = regrouped.all_columns(joint, np.concatenate([factor.R for factor in factors]))
         ends = np.cumsum([len(factor.R) for factor in factors])
         own_rows = np.split(rows, ends[:-1])
-        by_joint.append([replace(factor, R=R.copy()) for factor, R in zip(factors, own_rows, strict=True)])
+        return [replace(factor, R=R.copy()) for factor, R in zip(factors, own_rows, strict=True)]
+
+    size = sum(factor.R.size for factors in factors_by_joint for factor in factors)
+    by_joint = in_threads(with_own_columns, range(len(factors_by_joint)), size)
     return list(zip(*by_joint, strict=True))
 
 
