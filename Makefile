@@ -27,7 +27,7 @@ types: $(TEST_READY)
 	$(BIN)/mypy
 
 tests: $(TEST_READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist worksteal -m "not slow"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist loadfile -m "not slow"  # a file's fixtures are made once
 
 test-blas: $(TEST_READY)  ## the tests with OpenBLAS kernels for other CPUs, which round differently
 	$(BIN)/python tests/blas_kernels.py --jobs $(JOBS) $(KERNELS)

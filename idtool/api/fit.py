@@ -286,7 +286,8 @@ def fit_experiment(
         As in `fit`.
     """
     has_samples = not isinstance(experiment, ReducedExperiment)
-    maps = None
+    fleet = maps = noise_floor = None
+    faults: tuple[Notice, ...] = ()
     with ExitStack() as stack:
         check = None
         can_check = has_samples and experiment.has_only_joints  # a base that moves and contacts are not checked
@@ -294,22 +295,22 @@ def fit_experiment(
         if analyze_uncertainty and can_check and is_background:
             check = stack.enter_context(Background(partial(_find_data_faults, experiment)))
         solved = run_fit(experiment, progress, simulate and has_samples, analyze_uncertainty, method)
-        faults = check.result(progress) if check is not None else ()
-    if analyze_uncertainty and can_check and not is_background:
-        faults = _find_data_faults(solved.experiment, progress)
-    fleet = None
-    if experiment.config.pool is not None:
-        fleet = fit_fleet(solved, progress)
-        solved = fleet.fit
+        if experiment.config.pool is not None:
+            fleet = fit_fleet(solved, progress)
+            solved = fleet.fit
+        if analyze_uncertainty and has_samples:
+            models = (experiment.equation.prior, solved.estimate.theta)
+            from idtool.diagnosis.residual_maps import residual_maps
+
+            prior_maps, identified_maps = in_processes(partial(residual_maps, solved.experiment), models, progress)
+            maps = (prior_maps, identified_maps)
+            noise_floor = _noise_floor(solved, progress)
+        if check is not None:
+            faults = check.result(progress)
+        elif analyze_uncertainty and can_check:
+            faults = _find_data_faults(solved.experiment, progress)
     uncorrectable = [fault for fault in faults if fault.code in _UNCORRECTABLE_FAULTS]
     solved = replace(solved, notices=(*uncorrectable, *solved.notices))
-    if analyze_uncertainty and has_samples:
-        models = (experiment.equation.prior, solved.estimate.theta)
-        from idtool.diagnosis.residual_maps import residual_maps
-
-        prior_maps, identified_maps = in_processes(partial(residual_maps, solved.experiment), models, progress)
-        maps = (prior_maps, identified_maps)
-    noise_floor = _noise_floor(solved, progress) if analyze_uncertainty and has_samples else None
     result = FitResult.from_result(fit_report(solved, fleet, noise_floor))
     result._fit = solved
     result._fleet = fleet

@@ -16,6 +16,8 @@ _MIN_SAMPLES = 100  # samples that a share is taken of
 _MIN_LEVELS = 16  # fewer are believed only where most samples repeat one
 _GRID_TOLERANCE = 0.15  # steps off the grid that count as on it; without a grid 30 % of the samples are
 _MIN_GRID_SHARE = 0.95
+_ENOUGH_DISTANCES = 100  # between levels, to tell that they have no common step
+_MAX_OFF_GRID_SHARE = 0.25  # of distances, off by twice the tolerance; 40 % are without a grid, 10 % on the poorest
 _MIN_RELATIVE_STEP = 1e-6  # of the range: a finer step is as good as none
 _PROBE_LEVELS = 512  # levels that are tried before all are
 _FLOOR_FACTOR = 10  # a single spectrum's bin of noise reaches ten times its median once in a thousand
@@ -68,13 +70,13 @@ def quantisation(x: Array) -> float | None:
         step = _refined_step(levels[:_PROBE_LEVELS], guess / divisor)
         if step > _MIN_RELATIVE_STEP * span and _on_grid(levels[:_PROBE_LEVELS], step):
             step = _refined_step(levels, step)
-            if _on_grid(levels, step):
+            if step > 0 and _on_grid(levels, step):
                 return step
     return None
 
 
 def _refined_step(levels: Array, step: float) -> float:
-    """The step that best explains the distances between levels, from short ones to ever longer ones.
+    """The step that best explains the distances between levels, from short ones to ever longer ones; 0 if none does.
 
     A distance is of use once the step is known well enough to count the steps in it.
     """
@@ -84,13 +86,21 @@ def _refined_step(levels: Array, step: float) -> float:
         distance = levels[offset:] - levels[:-offset]
         count = np.round(distance / step)
         is_short = count <= max_count
-        short_count = count[is_short]
+        short_count, short_distance = count[is_short], distance[is_short]
         if short_count.any():
-            step = float(distance[is_short] @ short_count / (short_count @ short_count))
+            step = float(short_distance @ short_count / (short_count @ short_count))
+            if len(short_count) >= _ENOUGH_DISTANCES and _are_off_grid(short_distance / step):
+                return 0.0
         if len(short_count) > len(count) // 2:
             offset *= 2
         max_count *= 2
     return step
+
+
+def _are_off_grid(steps: Array) -> bool:
+    """True if more numbers of steps are far from whole than on any grid."""
+    is_off = np.abs(steps - np.round(steps)) > 2 * _GRID_TOLERANCE
+    return bool(np.count_nonzero(is_off) > _MAX_OFF_GRID_SHARE * len(steps))
 
 
 def _on_grid(levels: Array, step: float) -> bool:
