@@ -26,8 +26,9 @@ test: $(TEST_READY)  ## style, types and tests
 types: $(TEST_READY)
 	$(BIN)/mypy
 
+# By file, so that what its tests share is made once.
 tests: $(TEST_READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist loadfile -m "not slow"  # a file's fixtures are made once
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(JOBS) --dist loadfile -m "not slow"
 
 test-blas: $(TEST_READY)  ## the tests with OpenBLAS kernels for other CPUs, which round differently
 	$(BIN)/python tests/blas_kernels.py --jobs $(JOBS) $(KERNELS)

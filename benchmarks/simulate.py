@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
 from idtool.dynamics.simulation.simulation import simulate
-from idtool.dynamics.simulation.windows import split_into_windows
+from idtool.dynamics.simulation.windows import Window, split_into_windows
 from idtool.estimation.dataset.experiment import Experiment, prepare
 from idtool.robot.config import read_config
 from idtool.robot.urdf.reading import read_robot
@@ -117,17 +117,18 @@ def input_torque(signals: Signals, window: slice, dofs: list[int]) -> TorqueFunc
 def comparisons_of(name: str, experiment: Experiment, window: float | None) -> list[Comparison]:
     """Time idtool's simulation by turns with each of the loops."""
     signals = experiment.runs[0].signals
-    windows = split_into_windows(signals, experiment.runs[0].held_out, window)
+    parts = split_into_windows(signals, experiment.runs[0].held_out, window)
+    windows = [Window(signals, part) for part in parts]
     mechanism: Mechanism = experiment.equation.mechanism(experiment.model, experiment.equation.prior)
     loop = PythonLoop(experiment)
     starts = []
-    for part in windows:
+    for part in parts:
         q = np.zeros(loop.tree.nv)
         q[loop.dofs] = signals.channels.signal("q", part)[:, 0]
         starts.append((q, input_torque(signals, part, loop.dofs), (part.stop - part.start) * signals.log.dt))
 
     def ours() -> None:
-        for _ in simulate(mechanism, signals, windows, silent):
+        for _ in simulate(mechanism, windows, silent):
             pass
 
     def euler() -> None:
@@ -138,7 +139,7 @@ def comparisons_of(name: str, experiment: Experiment, window: float | None) -> l
         for q, torque, span in starts:
             loop.runge_kutta(q, np.zeros_like(q), torque, span)
 
-    seconds = sum(part.stop - part.start for part in windows) * signals.log.dt
+    seconds = sum(map(len, windows)) * signals.log.dt
     task = f"simulation of {seconds:.3g} s, {name}"
     peer = f"loop over aba of {version_text('pin')}"
     with np.errstate(all="ignore"):

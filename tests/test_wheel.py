@@ -57,7 +57,6 @@ def from_wheel(site_packages: Path, *arguments: object, folder: Path) -> Result:
     return Result(done.returncode, done.stdout, done.stderr)
 
 
-@pytest.mark.slow
 def test_the_wheel_is_small_and_contains_no_scripts_of_the_samples(wheel: Path, site_packages: Path) -> None:
     assert wheel.stat().st_size < MAX_WHEEL_SIZE
     assert {path.name for path in site_packages.iterdir()} - {"bin"} == {"idtool", f"{wheel.name[:12]}.dist-info"}

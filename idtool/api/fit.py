@@ -305,7 +305,7 @@ def fit_experiment(
             prior_maps, identified_maps = in_processes(partial(residual_maps, solved.experiment), models, progress)
             maps = (prior_maps, identified_maps)
             noise_floor = _noise_floor(solved, progress)
-        if check is not None:
+        if check is not None:  # last, since the other process looks for them meanwhile
             faults = check.result(progress)
         elif analyze_uncertainty and can_check:
             faults = _find_data_faults(solved.experiment, progress)

@@ -96,6 +96,10 @@ def nonnegative_least_squares(matrix: Array, right: Array) -> tuple[Array, float
         Shape (n, m).
     right
         Right-hand side, shape (n,).
+
+    Returns
+    -------
+    x, shape (m,), and the norm.
     """
     is_used = matrix.any(axis=0)
     x = np.zeros(matrix.shape[1])

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from idtool.common.cluster import Cluster
 from idtool.common.exceptions import ConfigError, IdtoolError, LogError, TransferError
@@ -225,7 +225,7 @@ def reduce_on_cluster(
         usable = sorted(reductions.keys() - failures.keys())
         lacking = None
         if needs_training and not any(i < len(logs) for i in usable):
-            lacking = "no other log can be used"
+            lacking = "no other log can be used for the fit"
         elif needs_validation and not any(i >= len(logs) for i in usable):
             lacking = "no other log can be used for validation"
         _check_failures(failures, skip_bad, lacking)
@@ -263,12 +263,12 @@ class _CommonSignals:
     joints: tuple[str, ...]
     band_hz: float
 
-    @staticmethod
-    def of(reductions: Sequence[SavedReduction]) -> _CommonSignals:
+    @classmethod
+    def of(cls, reductions: Sequence[SavedReduction]) -> Self:
         """The joints that all logs have, in the order of the first, and the lowest of their cut-offs."""
         first, *others = [reduction.settings["joints"] for reduction in reductions]
         joints = [name for name in first if all(name in joints for joints in others)]
-        return _CommonSignals(tuple(joints), min(reduction.band_hz for reduction in reductions))
+        return cls(tuple(joints), min(reduction.band_hz for reduction in reductions))
 
     def are_in(self, reduction: SavedReduction) -> bool:
         """True if a log was reduced with just these joints and this cut-off."""

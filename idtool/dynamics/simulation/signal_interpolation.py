@@ -6,6 +6,7 @@ Letters: t time since the log's first sample (w,) [s]; w rollouts, each along a 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -29,7 +30,7 @@ class SignalInterpolation:
     delay
         The value is that so long before, shape (W,) [s].
     smooth
-        True for the windows of which this is done, shape (W,); see above.
+        True for the windows of which this is done, shape (W,); see above. None: of no window.
     known_range
         Samples about a window at which the signal is known.
     """
@@ -45,11 +46,14 @@ class SignalInterpolation:
         dt = np.array([window.dt for window in windows])
         reach = int(np.ceil(np.abs(delay) / dt).max())
         samples_before = reach + 2
-        length = samples_before + max(map(len, windows)) + 3 + reach
+        samples_after = reach + 3
+        longest = max(map(len, windows))
         samples = []
         for window in windows:
             known = known_range(window.signals, window.part)
-            samples.append(_read_padded(window, read, window.part.start - samples_before, length, known))
+            own = partial(read, window.signals)
+            surroundings = slice(window.part.start - samples_before, window.part.stop + samples_after)
+            samples.append(_read_padded(own, surroundings, known, longest - len(window)))
         x = np.stack(samples, axis=1)
         if smooth is not None:
             rough = x[:, smooth]
@@ -68,11 +72,8 @@ class SignalInterpolation:
         return np.asarray(self._x[:, rollout_ids, index] + (position - index) * difference)
 
 
-def _read_padded(
-    window: Window, read: Callable[[Signals, slice], Array], first: int, length: int, known: slice
-) -> Array:
-    """Samples of a signal, those outside the range in which it is known being as at its end."""
-    end = first + length
-    start = max(first, known.start)
-    stop = min(end, known.stop)
-    return np.pad(read(window.signals, slice(start, stop)), [(0, 0), (start - first, end - stop)], mode="edge")
+def _read_padded(read: Callable[[slice], Array], part: slice, known: slice, further: int) -> Array:
+    """Samples of a signal and a number of further ones, all but those that are known as at the end of these."""
+    start = max(part.start, known.start)
+    stop = min(part.stop, known.stop)
+    return np.pad(read(slice(start, stop)), [(0, 0), (start - part.start, part.stop - stop + further)], mode="edge")

@@ -27,7 +27,7 @@ from idtool.dynamics.simulation.windows import Window, measured_states, usable_r
 
 _MAX_TOGETHER = 256  # rollouts that advance together
 _MAX_SIZE = 1 << 22  # numbers in one signal of theirs
-_FEW = 8  # windows, fewer than which are cut into pieces
+_FEW = 8  # windows that could advance together, fewer than which are cut into pieces
 _PIECE = 1.0  # s
 _ROUNDING = 1e-6  # of a sample
 _MAX_JUMP = 1e-7  # SI: between the end of a piece and the start of the next
@@ -97,8 +97,11 @@ def simulate(mechanism: Mechanism, windows: Sequence[Window], report: Report) ->
 
 
 def _batches(mechanism: Mechanism, windows: Sequence[Window]) -> Iterator[tuple[Window, ...]]:
-    """Windows that advance together; of a few long ones, each by itself, to be cut into pieces."""
-    most_samples = _MAX_SIZE // max(mechanism.model.joint_count, 1)
+    """Windows that advance together; of a few long ones, each by itself, to be cut into pieces.
+
+    Where torques differ by log, they are of one log, since `Forces` takes one.
+    """
+    most_samples = _MAX_SIZE // mechanism.model.joint_count
     batch: list[Window] = []
     longest = 0
     for window in windows:
@@ -165,7 +168,7 @@ def _simulate_in_pieces(mechanism: Mechanism, window: Window, report: Report) ->
 
 
 def _cut(window: Window, length: int) -> tuple[Window, ...]:
-    """Parts of a window with a number of samples, each of which ends with the first sample of the next."""
+    """Parts of a window that begin a number of samples apart; each ends with the first sample of the next."""
     part = window.part
     parts = [slice(first, min(first + length + 1, part.stop)) for first in range(part.start, part.stop - 1, length)]
     return tuple(Window(window.signals, part) for part in parts)

@@ -48,15 +48,15 @@ class Window:
         return float(self.signals.channels.times(first)[0] - self.signals.log.start)
 
 
-def gapless_range(signals: Signals, window: slice) -> slice:
-    """Samples of the log without a gap that a window lies in."""
-    parts: list[slice] = signals.channels.stretches()
-    return next(part for part in parts if part.start <= window.start < part.stop)
+def gapless_range(signals: Signals, part: slice) -> slice:
+    """Samples of the log without a gap that a part of it lies in."""
+    stretches: list[slice] = signals.channels.stretches()
+    return next(stretch for stretch in stretches if stretch.start <= part.start < stretch.stop)
 
 
-def usable_range(signals: Signals, window: slice) -> slice:
-    """Samples of the log with all derivatives that a window lies in."""
-    return next(part for part in signals.ranges if part.start <= window.start < part.stop)
+def usable_range(signals: Signals, part: slice) -> slice:
+    """Samples of the log with all derivatives that a part of it lies in."""
+    return next(usable for usable in signals.ranges if usable.start <= part.start < usable.stop)
 
 
 def stretches_without_contact(signals: Signals, parts: Sequence[slice], contacts: ContactModel) -> list[slice]:

@@ -122,7 +122,7 @@ def with_all_columns(reductions: Sequence[Reduction], regrouped: RegroupedModel)
         rows = regrouped.all_columns(joint, np.concatenate([factor.R for factor in factors]))
         ends = np.cumsum([len(factor.R) for factor in factors])
         own_rows = np.split(rows, ends[:-1])
-        return [replace(factor, R=R.copy()) for factor, R in zip(factors, own_rows, strict=True)]
+        return [replace(factor, R=R) for factor, R in zip(factors, own_rows, strict=True)]
 
     size = sum(factor.R.size for factors in factors_by_joint for factor in factors)
     by_joint = in_threads(with_own_columns, range(len(factors_by_joint)), size)

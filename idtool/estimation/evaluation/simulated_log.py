@@ -140,7 +140,7 @@ def simulated_log(
     for batch in simulate(mechanism, windows, lambda share: progress(stage, share)):
         for w, simulated in enumerate(batch.windows):
             part = simulated.part
-            q, v, tau = (x[:, w, : part.stop - part.start] for x in (batch.q, batch.v, batch.tau))
+            q, v, tau = (x[:, w, : len(simulated)] for x in (batch.q, batch.v, batch.tau))
             has_diverged = bool(batch.diverged[w])
             diverged += has_diverged
             kept = _samples_before_divergence(v) if has_diverged else v.shape[1]
