@@ -11,6 +11,7 @@ from idtool.reporting.results.base import ReadOnly, Record, Vector
 
 R = TypeVar("R", bound=Record)
 EMPTY: dict[Any, Any] = {tuple: (), ReadOnly: ReadOnly({})}
+SCALARS = (bool, int, float, str)
 
 
 def partial(cls: type[R], data: Any) -> R:
@@ -52,5 +53,7 @@ def _value(annotation: Any, value: Any) -> Any:
     if get_origin(annotation) is ReadOnly:
         return ReadOnly({key: _value(arguments[0], inner) for key, inner in value.items()})
     if get_origin(annotation) is tuple and len(arguments) == 2 and arguments[1] is Ellipsis:
+        if _plain(arguments[0]) in SCALARS:
+            return tuple(value)
         return tuple(_value(arguments[0], inner) for inner in value)
     return tuple(value) if get_origin(annotation) is tuple else value

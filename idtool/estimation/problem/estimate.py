@@ -305,22 +305,24 @@ def _refine_and_check(problem: Problem, solution: Solution, name: str, started: 
     if not np.isfinite(problem.cost(problem.S @ solution.x)):
         _, where = violation(problem, solution.x)
         raise _unsolved_error(problem, where, name, f"no admissible parameters were found ({solution.status})")
-    certificate = _certify_solution(problem, solution, SOLVER_INTERIOR, name, started)
-    if refined := refine(problem, solution):
+    refined = refine(problem, solution)
+    if refined:
         refined_solution = replace(refined.solution, x=_with_exact_constraints(problem, refined.solution.x))
         refined_certificate = replace(
             _certify_solution(problem, refined_solution, 0.0, name, started),
             parameter_error=refined.error,
             status="optimal" if refined.error <= PARAMETER_TOLERANCE else solution.status,
         )
-        if refined_certificate.holds or not certificate.holds:
-            solution = refined_solution
-            certificate = refined_certificate
-    if not certificate.holds:
-        gap, violated = certificate.duality_gap, certificate.violation
-        reason = f"relative duality gap {gap:.1e}, violation {violated:.1e}"
-        raise _unsolved_error(problem, certificate.where, name, reason)
-    return solution.x, certificate
+        if refined_certificate.holds:
+            return refined_solution.x, refined_certificate
+    certificate = _certify_solution(problem, solution, SOLVER_INTERIOR, name, started)
+    if certificate.holds:
+        return solution.x, certificate
+    if refined:
+        certificate = refined_certificate
+    gap, violated = certificate.duality_gap, certificate.violation
+    reason = f"relative duality gap {gap:.1e}, violation {violated:.1e}"
+    raise _unsolved_error(problem, certificate.where, name, reason)
 
 
 def _unsolved_error(problem: Problem, where: str, name: str, reason: str) -> SolverError:
