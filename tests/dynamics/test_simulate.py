@@ -250,15 +250,20 @@ def test_a_contact_during_one_log_is_not_felt_in_the_others(robot_of: ReadRobot)
     np.testing.assert_allclose(found[2], found[0], rtol=0, atol=1e-12)
 
 
-def test_what_advances_together_is_bounded(robot_of: ReadRobot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Long windows of many logs would take much memory; few that are long are simulated one by one, in pieces."""
-    monkeypatch.setattr(simulation, "_MAX_SIZE", 2000)
-    t = clock(800, 250)
-    signals = signals_of(log_of(t, q=0.1 + 0 * t, tau=force(t)))
-    short, medium, long = [Window(signals, slice(0, count)) for count in (10, 200, 800)]
+@pytest.mark.parametrize(("is_driven", "sizes"), [(False, [256, 44, 12, 2, 1]), (True, [256, 44, 12, 1, 1, 1])])
+def test_what_advances_together_is_bounded(
+    robot_of: ReadRobot, monkeypatch: pytest.MonkeyPatch, is_driven: bool, sizes: list[int]
+) -> None:
+    """Long windows of many logs would take much memory; few under a controller are done one by one, in pieces."""
+    monkeypatch.setattr(simulation, "_MAX_SIZE", 4000)
+    t = clock(2000, 250)
+    driven = log_of(t, q=0.1 + 0 * t, qcmd=wanted(t))
+    config = {"controller": {"kp": {"x1": KP}}} if is_driven else {}
+    signals = signals_of(driven if is_driven else log_of(t, q=0.1 + 0 * t, tau=force(t)), **config)
+    short, medium, long = [Window(signals, slice(0, count)) for count in (10, 200, 2000)]
     windows = [short] * 300 + [medium] * 12 + [long] * 2 + [short]
     found = simulate(mechanism(robot_of(sliders(M)), CONFIG), windows, lambda share: None)
-    assert [len(some.windows) for some in found] == [200, 100, 10, 2, 1, 1, 1]
+    assert [len(some.windows) for some in found] == sizes
 
 
 @pytest.mark.parametrize("speed", [1e10, 2e3])  # m/s

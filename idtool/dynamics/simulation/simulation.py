@@ -27,8 +27,8 @@ from idtool.dynamics.simulation.windows import Window, measured_states, usable_r
 
 _MAX_TOGETHER = 256  # rollouts that advance together
 _MAX_SIZE = 1 << 22  # numbers in one signal of theirs
-_FEW = 8  # windows that could advance together, fewer than which are cut into pieces
 _PIECE = 1.0  # s
+_USUAL_PASSES = 3  # over the pieces of a window, until each begins where the one before it ends
 _ROUNDING = 1e-6  # of a sample
 _MAX_JUMP = 1e-7  # SI: between the end of a piece and the start of the next
 _MAX_PASSES = 5  # over all pieces together, before they are done one by one
@@ -87,7 +87,7 @@ def simulate(mechanism: Mechanism, windows: Sequence[Window], report: Report) ->
     for some in _batches(mechanism, windows):
         size = sum(map(len, some))
         report_part = partial(_report_part, report, done / total, size / total)
-        if len(some) == 1 and _is_long(some[0]):
+        if len(some) == 1 and _is_cut(mechanism, some):
             yield _simulate_in_pieces(mechanism, some[0], report_part)
         else:
             run = _Run(mechanism, some)
@@ -97,37 +97,50 @@ def simulate(mechanism: Mechanism, windows: Sequence[Window], report: Report) ->
 
 
 def _batches(mechanism: Mechanism, windows: Sequence[Window]) -> Iterator[tuple[Window, ...]]:
-    """Windows that advance together; of a few long ones, each by itself, to be cut into pieces.
+    """Windows that advance together; one by itself if it is cut into pieces.
 
     Where torques differ by log, they are of one log, since `Forces` takes one.
     """
-    most_samples = _MAX_SIZE // mechanism.model.joint_count
+    for batch in _bounded_batches(mechanism, windows):
+        if _is_cut(mechanism, batch):
+            for window in batch:
+                yield (window,)
+        else:
+            yield batch
+
+
+def _bounded_batches(mechanism: Mechanism, windows: Sequence[Window]) -> Iterator[tuple[Window, ...]]:
+    """As many windows as may advance together."""
     batch: list[Window] = []
     longest = 0
     for window in windows:
         longest = max(longest, len(window))
-        is_full = len(batch) == _MAX_TOGETHER or (len(batch) + 1) * longest > most_samples
+        is_full = len(batch) == _MAX_TOGETHER or (len(batch) + 1) * longest > _most_samples(mechanism)
         is_of_other_log = mechanism.differs_by_log and bool(batch) and window.signals is not batch[0].signals
         if batch and (is_full or is_of_other_log):
-            yield from _single_if_few_and_long(batch)
+            yield tuple(batch)
             batch = []
             longest = len(window)
         batch.append(window)
-    yield from _single_if_few_and_long(batch)
-
-
-def _single_if_few_and_long(batch: Sequence[Window]) -> Iterator[tuple[Window, ...]]:
-    """The windows together, or each by itself if they are few and one is long."""
-    if len(batch) < _FEW and any(_is_long(window) for window in batch):
-        for window in batch:
-            yield (window,)
-    elif batch:
+    if batch:
         yield tuple(batch)
 
 
-def _is_long(window: Window) -> bool:
-    """True if it is worth cutting into pieces."""
-    return len(window) > 2 * _piece_length(window)
+def _is_cut(mechanism: Mechanism, batch: Sequence[Window]) -> bool:
+    """True if each window is cut into pieces, since one is too long, or since that takes fewer steps than all of it.
+
+    Without a controller, which makes motions forget how they began, it takes more.
+    """
+    if max(map(len, batch)) > _most_samples(mechanism):
+        return True
+    has_controller = any(window.signals.controller.joints.any() for window in batch)
+    most_pieces = max(len(window) / _piece_length(window) for window in batch)
+    return has_controller and most_pieces > _USUAL_PASSES * len(batch)
+
+
+def _most_samples(mechanism: Mechanism) -> int:
+    """Largest number of samples of all windows that advance together."""
+    return _MAX_SIZE // mechanism.model.joint_count
 
 
 def _report_part(report: Report, before: float, size: float, share: float) -> None:
