@@ -88,7 +88,8 @@ def least_squares(matrix: Array, right: Array, rcond: float) -> tuple[Array, int
 def nonnegative_least_squares(matrix: Array, right: Array) -> tuple[Array, float]:
     """Least squares with x ≥ 0, and the norm of what it leaves of the right-hand side.
 
-    The solution without bounds is taken where it keeps them, since scipy.optimize takes a tenth of a second to import.
+    Where the solution without bounds keeps them, it is the result. scipy.optimize, which takes a tenth of a second to
+    import, is then not needed.
 
     Parameters
     ----------

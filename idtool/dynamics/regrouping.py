@@ -1,8 +1,8 @@
 """`regrouped`: the torque equation without columns of bodies that depend on others, whatever the motion.
 
-Take an infinitely thin rod along the axis of a revolute joint. It moves alike whether it belongs to the joint's body or
-to the carrier, the body before the joint. On a prismatic joint, the same is true of any inertia whose mass and first
-moments are zero. The columns are therefore equal:
+Take an infinitely thin rod along the axis of a revolute joint. Its motion is the same whether it belongs to the joint's
+body or to the carrier, the body before the joint. On a prismatic joint, this is true of any inertia whose mass and
+first moments are zero. The columns are therefore equal:
 
     Y_body n = Y_carrier X n,
 
@@ -137,8 +137,8 @@ class RegroupedModel:
 def regrouped(equation: LinearModel) -> RegroupedModel:
     """The equation without dependent columns of its bodies.
 
-    All columns are kept if bodies are no unknowns, are known, or are given by a subset of their parameters. So they are
-    if columns depend on the coefficients.
+    All columns are kept if the inertias are not identified, are known, or have only some of their parameters as
+    unknowns, and if columns depend on the coefficients.
     """
     rigid_bodies, *others = equation.effects
     if not isinstance(rigid_bodies, RigidBodies) or not rigid_bodies.is_complete:

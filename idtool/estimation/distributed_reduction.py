@@ -1,8 +1,9 @@
-"""Logs reduced one by one by the processes of a cluster, so that a fit from them is that from all logs together.
+"""Logs reduced one by one by the processes of a cluster: a fit from their reductions is that from all logs together.
 
-Workers read the logs, from a file system that all of them see or from URLs. What they return is written to a folder by
-this process; workers on this machine write it themselves, so that it need not be sent. A log whose reduction
-is there, made from the same file with the same settings, is not read again.
+A reduction holds what a fit needs of a log: R-factors of its rows and statistics. Workers read the logs, from a file
+system that all of them see or from URLs. This process writes the reductions to a folder; workers on this machine write
+them themselves, so that they need not be sent. A log whose reduction is in the folder, made from the same file with the
+same settings, is not read again.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot
 
 _WITHOUT_BOUNDS: dict[str, Any] = {"bounding_ellipsoids": {}, "bounding_shapes": {}}  # which may need meshes
-_WITHOUT_EFFECT_ON_ROWS = {  # keys of the configuration that a reduction does not depend on
+_KEYS_NOT_IN_ROWS = {  # keys of the configuration that a reduction does not depend on
     *_WITHOUT_BOUNDS,
     *(
         "known_com",
@@ -56,9 +57,9 @@ _WITHOUT_EFFECT_ON_ROWS = {  # keys of the configuration that a reduction does n
         "seed",
     ),
 }
-_MAX_KEPT = 3  # reductions of a log, of different settings
-_LONGEST_NAME = 80  # characters of a log's name in that of its reduction
-_MAX_NAMED = 3  # logs in a message
+_MAX_REDUCTIONS_PER_LOG = 3  # of different settings, the newest included
+_MAX_STEM_LENGTH = 80  # characters of a log's name in that of its reduction
+_MAX_OTHERS_NAMED = 3  # logs in a message, beside the first
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class LogTask:
     holdout
         Share at its end that is kept for validation; 1: all of it.
     log_count
-        Number of logs that are used together, rounded up to a power of two.
+        Number of logs that are used together, rounded up to a power of two so that one more changes nothing.
     file
         File that the worker writes; None: it returns the content.
     """
@@ -89,28 +90,32 @@ class LogTask:
     file: Path | None = None
 
     @property
-    def file_name(self) -> str | None:
-        """Name of the file with its reduction, which differs for other settings; None if the log's version is unknown.
+    def is_for_validation(self) -> bool:
+        """True if all of the log is kept for validation."""
+        return self.holdout == 1
 
-        It begins with that of all reductions of the log.
+    def name_of_reduction(self) -> str | None:
+        """Name of the file with its reduction: `file_prefix` and a digest of all that it depends on.
+
+        None if the version of the log is unknown; a server is asked for it.
         """
-        version = version_of(self.path)
-        if version is None:
+        log_version = version_of(self.path)
+        if log_version is None:
             return None
-        settings = {
+        dependencies = {
             "idtool": VERSION,
             "urdf": hashlib.sha256(self.robot.text).hexdigest(),
-            "config": self.config.model_dump(mode="json", exclude=_WITHOUT_EFFECT_ON_ROWS),
-            "version": version,
+            "config": self.config.model_dump(mode="json", exclude=_KEYS_NOT_IN_ROWS),
+            "version": log_version,
             "holdout": self.holdout,
             "logs": self.log_count,
         }
-        return f"{self.log_name}.{_digest(json.dumps(settings))}{REDUCTION_SUFFIX}"
+        return f"{self.file_prefix}.{_digest(json.dumps(dependencies))}{REDUCTION_SUFFIX}"
 
     @property
-    def log_name(self) -> str:
-        """Name of the log in that of the file, different for logs of the same name in different folders."""
-        return f"{self.path.stem[:_LONGEST_NAME]}.{_digest(str(self.path))}"
+    def file_prefix(self) -> str:
+        """Beginning of the names of all its reductions; it tells logs of one name in different folders apart."""
+        return f"{self.path.stem[:_MAX_STEM_LENGTH]}.{_digest(str(self.path))}"
 
 
 @dataclass(frozen=True)
@@ -122,7 +127,7 @@ class ReducedLogs:
     training, validation
         Logs for the fit and for validation, with their reductions.
     notices
-        Logs that were left out.
+        One for each log that was left out.
     """
 
     training: tuple[tuple[Path, SavedReduction], ...]
@@ -136,8 +141,7 @@ def reduce_log(task: LogTask) -> bytes | IdtoolError | None:
 
     Returns
     -------
-    The content of the file with its reduction, None if the worker has written the file, or the error of a log that
-    cannot be used.
+    The content of the file with its reduction; None if the worker has written the file; or the error that prevented it.
 
     Raises
     ------
@@ -146,22 +150,23 @@ def reduce_log(task: LogTask) -> bytes | IdtoolError | None:
     """
     limit_processes(1)  # each process of a cluster has its own core
     try:
-        reduction = _reduced(task)
+        reduction = _read_and_reduce(task)
         if task.file is None:
             return reduction_bytes(reduction)
         write_reduction(task.file, reduction)
-    except TransferError:
+    except TransferError:  # Dask tries again what raises
         raise
     except IdtoolError as error:
         return error
     return None
 
 
-def _reduced(task: LogTask) -> SavedReduction:
-    """Read and reduce a log; ConfigError if a delay of its controller would have to be fitted."""
-    is_validated = task.holdout == 1
-    logs, validate = ([], [task.path]) if is_validated else ([task.path], [])
-    experiment = prepare(task.robot, task.config, logs, validate, 0.0 if is_validated else task.holdout)
+def _read_and_reduce(task: LogTask) -> SavedReduction:
+    """The reduction of a log; ConfigError if the delay of the controller would have to be fitted."""
+    if task.is_for_validation:
+        experiment = prepare(task.robot, task.config, [], [task.path], holdout=0.0)
+    else:
+        experiment = prepare(task.robot, task.config, [task.path], [], task.holdout)
     controller = task.config.controller
     if experiment.has_commands and controller is not None and controller.known_delay is None:
         what = "is not fitted on a cluster, since it is that of all logs together"
@@ -185,6 +190,8 @@ def reduce_on_cluster(
 ) -> ReducedLogs:
     """Reduce logs on a cluster.
 
+    Those with other joints, or a higher cut-off, than all logs share are then reduced again, with what all share.
+
     Parameters
     ----------
     cluster
@@ -200,7 +207,7 @@ def reduce_on_cluster(
     skip_bad
         If true, logs that cannot be used are left out; a notice names them.
     needs_training, needs_validation
-        True if one of the logs for the fit, or for validation, must be left.
+        True if it is an error that no log for the fit, or for validation, can be used.
     progress
         Callback for the stage and its progress, from 0 to 1.
     with_excerpts
@@ -213,37 +220,39 @@ def reduce_on_cluster(
     """
     check_holdout(holdout)
     config = config.model_copy(update=_WITHOUT_BOUNDS)
-    holdouts = [0.0 if validate else holdout] * len(logs) + [1.0] * len(validate)
+    training_holdout = 0.0 if validate else holdout
+    holdouts = [training_holdout] * len(logs) + [1.0] * len(validate)
     log_count = rounded_count(len(holdouts))
-    tasks = []
-    for path, own_holdout in zip((*logs, *validate), holdouts, strict=True):
-        tasks.append(LogTask(robot, config, path, own_holdout, log_count))
-    reductions, failures = _reductions(cluster, dict(enumerate(tasks)), folder, progress, with_excerpts)
+    tasks = {}
+    for i, (path, own_holdout) in enumerate(zip((*logs, *validate), holdouts, strict=True)):
+        tasks[i] = LogTask(robot, config, path, own_holdout, log_count)
+    reductions, failures = _read_or_reduce(cluster, tasks, folder, progress, with_excerpts)
 
     def usable_logs() -> list[int]:
         """Numbers of the logs that can be used; raises if a bad one is not to be skipped, or if too few are left."""
-        usable = sorted(reductions.keys() - failures.keys())
+        usable = sorted(reductions.keys() - failures.keys())  # what fails the second time has its first reduction
         lacking = None
-        if needs_training and not any(i < len(logs) for i in usable):
+        if needs_training and all(tasks[i].is_for_validation for i in usable):
             lacking = "no other log can be used for the fit"
-        elif needs_validation and not any(i >= len(logs) for i in usable):
+        elif needs_validation and not any(tasks[i].is_for_validation for i in usable):
             lacking = "no other log can be used for validation"
         _check_failures(failures, skip_bad, lacking)
         return usable
 
-    differing = {}
+    to_reduce_again = {}
     usable = usable_logs()
     if usable:
-        common = _CommonSignals.of([reductions[i] for i in usable])
-        common_config = config.model_copy(update=common.changes(config))
-        differing = {i: replace(tasks[i], config=common_config) for i in usable if not common.are_in(reductions[i])}
-    second_reductions, second_failures = _reductions(cluster, differing, folder, progress, with_excerpts)
+        shared = _SharedSelection.of([reductions[i] for i in usable])
+        shared_config = config.model_copy(update=shared.config_update(config))
+        differing = [i for i in usable if not shared.matches(reductions[i])]
+        to_reduce_again = {i: replace(tasks[i], config=shared_config) for i in differing}
+    second_reductions, second_failures = _read_or_reduce(cluster, to_reduce_again, folder, progress, with_excerpts)
     reductions |= second_reductions
     failures |= second_failures
-    used = usable_logs()
+    usable = usable_logs()
     return ReducedLogs(
-        training=tuple((tasks[i].path, reductions[i]) for i in used if i < len(logs)),
-        validation=tuple((tasks[i].path, reductions[i]) for i in used if i >= len(logs)),
+        training=tuple((tasks[i].path, reductions[i]) for i in usable if not tasks[i].is_for_validation),
+        validation=tuple((tasks[i].path, reductions[i]) for i in usable if tasks[i].is_for_validation),
         notices=tuple(left_out_notice(failures[i]) for i in sorted(failures)),
     )
 
@@ -257,7 +266,7 @@ def remove_reductions(folder: Path) -> None:
 
 
 @dataclass(frozen=True)
-class _CommonSignals:
+class _SharedSelection:
     """Joints and cut-off that all logs share."""
 
     joints: tuple[str, ...]
@@ -267,31 +276,34 @@ class _CommonSignals:
     def of(cls, reductions: Sequence[SavedReduction]) -> Self:
         """The joints that all logs have, in the order of the first, and the lowest of their cut-offs."""
         first, *others = [reduction.settings["joints"] for reduction in reductions]
-        joints = [name for name in first if all(name in joints for joints in others)]
+        joints = [name for name in first if all(name in other for other in others)]
         return cls(tuple(joints), min(reduction.band_hz for reduction in reductions))
 
-    def are_in(self, reduction: SavedReduction) -> bool:
+    def matches(self, reduction: SavedReduction) -> bool:
         """True if a log was reduced with just these joints and this cut-off."""
         return tuple(reduction.settings["joints"]) == self.joints and reduction.band_hz == self.band_hz
 
-    def changes(self, config: Config) -> dict[str, Any]:
-        """The keys of a configuration that select them."""
+    def config_update(self, config: Config) -> dict[str, Any]:
+        """Keys for a configuration that select these joints and this cut-off."""
         low_pass = config.filter.model_copy(update={"cutoff_hz": self.band_hz})
         return {"joints": self.joints, "filter": low_pass}
 
 
-def _reductions(
+def _read_or_reduce(
     cluster: Cluster, tasks: Mapping[int, LogTask], folder: Path, progress: Progress, with_excerpts: bool
 ) -> tuple[dict[int, SavedReduction], dict[int, LogError]]:
-    """Reductions of logs, and the errors of those that have none, by their numbers."""
+    """Reductions of logs, by their numbers, and the errors of those that have none.
+
+    They are read from the folder or, where they are not there, made on the cluster and written to it.
+    """
     reductions: dict[int, SavedReduction] = {}
     failures: dict[int, Exception] = {}
     missing = []
     files: dict[int, Path] = {}
     for i, task in tasks.items():
-        name = task.file_name
-        files[i] = folder / (name or f"{task.log_name}.unversioned{REDUCTION_SUFFIX}")
-        reduction = _written_reduction(files[i], with_excerpts) if name else None
+        name = task.name_of_reduction()
+        files[i] = folder / (name or f"{task.file_prefix}.unversioned{REDUCTION_SUFFIX}")
+        reduction = _reduction_in(files[i], with_excerpts) if name else None
         if reduction is None:
             missing.append(i)
         else:
@@ -299,26 +311,27 @@ def _reductions(
     missing_tasks = [replace(tasks[i], file=files[i] if cluster.is_local else None) for i in missing]
     for k, outcome in cluster.evaluate(reduce_log, missing_tasks):
         i = missing[k]
-        if isinstance(outcome, OutputError):
+        if isinstance(outcome, OutputError):  # of no log, such as a full disk
             raise outcome
         if isinstance(outcome, Exception):
             failures[i] = outcome
-            _raise_common_error(failures.values(), len(reductions), min(len(tasks), cluster.threads + 1))
+            enough = min(len(tasks), cluster.threads + 1)  # each process, and one of them twice
+            _raise_if_settings_are_wrong(failures.values(), len(reductions), enough)
         else:
-            reductions[i] = _new_reduction(files[i], outcome, with_excerpts)
-        _remove_outdated(files[i], tasks[i].log_name)
+            reductions[i] = _received_reduction(files[i], outcome, with_excerpts)
+        _remove_surplus(files[i], tasks[i].file_prefix)
         progress(_stage(cluster, len(tasks), len(failures)), (len(reductions) + len(failures)) / len(tasks))
     return reductions, {i: _log_error(tasks[i].path, error) for i, error in failures.items()}
 
 
-def _stage(cluster: Cluster, logs: int, failed: int) -> str:
-    """What is done, and how many logs have failed."""
+def _stage(cluster: Cluster, log_count: int, failure_count: int) -> str:
+    """Text for the progress bar: what is being done, and how many logs have failed."""
     processes = "1 process" if cluster.threads == 1 else f"{cluster.threads} processes"
-    stage = f"reducing {count_text(logs, 'log')} on {processes}"
-    return f"{stage}, {failed} failed" if failed else stage
+    stage = f"reducing {count_text(log_count, 'log')} on {processes}"
+    return f"{stage}, {failure_count} failed" if failure_count else stage
 
 
-def _new_reduction(file: Path, content: bytes | None, with_excerpts: bool) -> SavedReduction:
+def _received_reduction(file: Path, content: bytes | None, with_excerpts: bool) -> SavedReduction:
     """The reduction that a worker made: from its content, which is written to the file, or from the file it wrote."""
     if content is None:
         return read_reduction(file, with_excerpts)
@@ -326,35 +339,35 @@ def _new_reduction(file: Path, content: bytes | None, with_excerpts: bool) -> Sa
     return parse_reduction(file, content, with_excerpts)
 
 
-def _written_reduction(file: Path, with_excerpts: bool) -> SavedReduction | None:
+def _reduction_in(file: Path, with_excerpts: bool) -> SavedReduction | None:
     """The reduction in a file; None if there is none that can be used."""
     try:
         return read_reduction(file, with_excerpts) if file.is_file() else None
-    except LogError:  # it is made again
+    except LogError:  # damaged: it is made again
         return None
 
 
-def _remove_outdated(file: Path, log_name: str) -> None:
+def _remove_surplus(file: Path, file_prefix: str) -> None:
     """Remove the oldest other reductions of a log, and unfinished files of this one from workers that were killed."""
     for unfinished in unfinished_files(file):
         unfinished.unlink(missing_ok=True)
-    of_log = [other for other in file.parent.glob(f"{escape(log_name)}.*{REDUCTION_SUFFIX}") if other != file]
+    of_log = [other for other in file.parent.glob(f"{escape(file_prefix)}.*{REDUCTION_SUFFIX}") if other != file]
     of_log.sort(key=lambda other: other.stat().st_mtime, reverse=True)
-    for other in of_log[_MAX_KEPT - 1 :]:
+    for other in of_log[_MAX_REDUCTIONS_PER_LOG - 1 :]:
         other.unlink(missing_ok=True)
 
 
-def _raise_common_error(failures: Collection[Exception], successes: int, enough: int) -> None:
-    """Raise the first error if no log succeeded, enough failed, and no error is about a log but all about settings."""
+def _raise_if_settings_are_wrong(failures: Collection[Exception], successes: int, enough: int) -> None:
+    """Raise the first error if no log succeeded, enough failed, and no error is about a log: it is the settings'."""
     if successes or len(failures) < enough:
         return
-    errors = [error for error in failures if isinstance(error, IdtoolError) and not isinstance(error, LogError)]
-    if len(errors) == len(failures):
-        raise errors[0]
+    of_settings = [error for error in failures if isinstance(error, IdtoolError) and not isinstance(error, LogError)]
+    if len(of_settings) == len(failures):
+        raise of_settings[0]
 
 
 def _log_error(path: Path, error: Exception) -> LogError:
-    """Error about a log."""
+    """The error itself if it is about a log, else one that names the log."""
     if isinstance(error, LogError):
         return error
     reason = str(error) or type(error).__name__
@@ -368,13 +381,13 @@ def _check_failures(failures: Mapping[int, LogError], skip_bad: bool, lacking: s
     if not failures or (skip_bad and lacking is None):
         return
     first, *others = [failures[i] for i in sorted(failures)]
-    advice = lacking or "--skip-bad leaves such logs out"
+    ending = lacking or "--skip-bad leaves such logs out"
     if others:
-        names = [Path(error.where).name for error in others[:_MAX_NAMED]]
-        if len(others) > _MAX_NAMED:
-            names.append(f"{len(others) - _MAX_NAMED} more")
-        advice = f"{join_names(names)} cannot be used either; {advice}"
-    raise LogError(first.where, f"{first.what}; {advice}")
+        names = [Path(error.where).name for error in others[:_MAX_OTHERS_NAMED]]
+        if len(others) > _MAX_OTHERS_NAMED:
+            names.append(f"{len(others) - _MAX_OTHERS_NAMED} more")
+        ending = f"{join_names(names)} cannot be used either; {ending}"
+    raise LogError(first.where, f"{first.what}; {ending}")
 
 
 def _digest(text: str) -> str:

@@ -262,6 +262,20 @@ def test_logs_that_cannot_be_used_are_named_or_left_out(
             assert fitted.bodies[name].mass == pytest.approx(body.mass, rel=1e-3)
 
 
+@pytest.mark.parametrize(("is_for_validation", "purpose"), [(False, "the fit"), (True, "validation")])
+def test_where_no_log_is_left_the_error_says_for_what(
+    scheduler: str, logs: list[Path], tmp_path: Path, is_for_validation: bool, purpose: str
+) -> None:
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(logs[0].read_bytes()[:100])
+    fitted, validated = (logs[0], bad) if is_for_validation else (bad, logs[0])
+    arguments = [fitted, "--validate", validated, "--quick", "--skip-bad", "--cluster", scheduler]
+    refused = idtool("fit", LEG, *arguments, "--out", tmp_path / "out")
+    assert refused.code == 2
+    assert refused.err.startswith(f"error: {bad}: ")
+    assert refused.err.endswith(f"; no other log can be used for {purpose}\n")
+
+
 def test_clusters_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     no_scheduler = tmp_path / "other.json"
     no_scheduler.write_text("[]")

@@ -8,7 +8,7 @@ from inspected import motion, needs_data
 from paths import REAL
 from scipy.signal import lfilter
 
-from idtool.data.inspection import inspect_log, jitter, quantisation, sample_steps, velocity_lag
+from idtool.data.inspection import inspect_log, jitter, quantisation, sample_steps, signal_statistics, velocity_lag
 from idtool.data.logs import read_log
 
 
@@ -75,6 +75,18 @@ def test_quantisation_finds_a_step_of_which_most_levels_are_skipped() -> None:
 def test_quantisation_finds_a_step_that_was_rounded_again() -> None:
     count = np.round(100 * motion(np.arange(20000) * 1e-3))
     assert quantisation(0.01 * np.round(9.25 * count)) == pytest.approx(0.0925, rel=1e-3)
+
+
+def test_quantisation_finds_the_step_of_a_poor_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of which some levels are off; a search that gives up sooner does not."""
+    t, step = np.arange(8000) * 1e-3, 0.002
+    levels, indices = np.unique(np.round(motion(t) / step) * step, return_inverse=True)
+    jitter = np.random.default_rng(0).uniform(-0.1, 0.1, size=len(levels))
+    jitter[::25] = 0.4
+    x = (levels + step * jitter)[indices]
+    assert quantisation(x) == pytest.approx(step, rel=1e-2)
+    monkeypatch.setattr(signal_statistics, "_MAX_OFF_GRID_SHARE", 0.01)
+    assert quantisation(x) is None
 
 
 @pytest.mark.parametrize("samples", [5, 10, 20, 50, 200, 20000])

@@ -255,7 +255,7 @@ def test_what_advances_together_is_bounded(
     robot_of: ReadRobot, monkeypatch: pytest.MonkeyPatch, is_driven: bool, sizes: list[int]
 ) -> None:
     """Long windows of many logs would take much memory; few under a controller are done one by one, in pieces."""
-    monkeypatch.setattr(simulation, "_MAX_SIZE", 4000)
+    monkeypatch.setattr(simulation, "_MAX_ARRAY_ELEMENTS", 4000)
     t = clock(2000, 250)
     driven = log_of(t, q=0.1 + 0 * t, qcmd=wanted(t))
     config = {"controller": {"kp": {"x1": KP}}} if is_driven else {}

@@ -17,7 +17,7 @@ _MIN_LEVELS = 16  # fewer are believed only where most samples repeat one
 _GRID_TOLERANCE = 0.15  # steps off the grid that count as on it; without a grid 30 % of the samples are
 _MIN_GRID_SHARE = 0.95
 _ENOUGH_DISTANCES = 100  # between levels, to tell that they have no common step
-_MAX_OFF_GRID_SHARE = 0.25  # of distances, off by twice the tolerance; 40 % are without a grid, 10 % on the poorest
+_MAX_OFF_GRID_SHARE = 0.25  # of distances, off by twice the tolerance: without a grid it is 40 %, with one at most 10 %
 _MIN_RELATIVE_STEP = 1e-6  # of the range: a finer step is as good as none
 _PROBE_LEVELS = 512  # levels that are tried before all are
 _FLOOR_FACTOR = 10  # a single spectrum's bin of noise reaches ten times its median once in a thousand
@@ -76,9 +76,10 @@ def quantisation(x: Array) -> float | None:
 
 
 def _refined_step(levels: Array, step: float) -> float:
-    """The step that best explains the distances between levels, from short ones to ever longer ones; 0 if none does.
+    """Step that best explains the distances between levels; 0 if none does.
 
-    A distance is of use once the step is known well enough to count the steps in it.
+    It is determined from short distances, then from ever longer ones. A distance is of use once the step is known well
+    enough to count the steps in it.
     """
     offset = 1
     max_count = 4

@@ -206,7 +206,10 @@ def _write_own_axis_columns(
 
 
 def _combined(factors: Array, x: Array) -> Array:
-    """Linear combination of arrays, shape (m, ..., N) to (..., N). Factors are often 0; their arrays are skipped."""
+    """Linear combination of arrays, shape (m, ..., N) to (..., N).
+
+    Factors are often 0; their arrays are skipped.
+    """
     total = np.zeros(x.shape[1:])
     for i in np.flatnonzero(factors):
         total += factors[i] * x[i]

@@ -23,8 +23,8 @@ _MAX_STEP_OF_TWO = 2.5e-3  # s: longest step that takes two samples
 class InputTorque:
     """The torque on the joints, as `Rollouts` call it.
 
-    Between samples, torque and command are interpolated; the command is the one before the controller's delay. Logs and
-    controllers have what the mechanism's sensors give.
+    Between samples, torque and command are interpolated. The command is the one before the controller's delay. Logs and
+    controllers have what the mechanism's sensors read.
 
     Parameters
     ----------

@@ -1,8 +1,11 @@
 """Simulation of a model along logs: under the logged torque, or closed loop under the joint controller.
 
-A rollout starts from the measured state. Those of many windows advance together, whatever logs they are of. A floating
-base moves as measured, so that the joints are those of a robot on a moving platform; the windows are without forces on
-other links.
+A rollout starts from the measured state. Rollouts of many windows advance together, as a batch. They may be of several
+logs, unless torques differ by log. Long windows are cut into sections, which are simulated in turn, and these into
+pieces, which advance together.
+
+A floating base moves as measured: the joints are those of a robot on a moving platform. In the windows, no contact
+forces act on links that the joints move.
 
 Shapes: nv joints, W rollouts, N samples of the longest. Units: rad or m, s, N·m or N.
 """
@@ -25,16 +28,16 @@ from idtool.dynamics.simulation.rollout_state import RolloutState, interpolate
 from idtool.dynamics.simulation.signal_interpolation import SignalInterpolation
 from idtool.dynamics.simulation.windows import Window, measured_states, usable_range
 
-_MAX_TOGETHER = 256  # rollouts that advance together
-_MAX_SIZE = 1 << 22  # numbers in one signal of theirs
-_PIECE = 1.0  # s
-_USUAL_PASSES = 3  # over the pieces of a window, until each begins where the one before it ends
-_ROUNDING = 1e-6  # of a sample
+_MAX_ROLLOUTS = 256  # rollouts that advance together
+_MAX_ARRAY_ELEMENTS = 1 << 22  # of one signal of theirs, padded to the longest
+_PIECE_DURATION = 1.0  # s
+_EXPECTED_PASSES = 3  # over the pieces of a window, until each begins where the one before it ends
+_SAMPLE_TOLERANCE = 1e-6  # of a sample
 _MAX_JUMP = 1e-7  # SI: between the end of a piece and the start of the next
-_MAX_PASSES = 5  # over all pieces together, before they are done one by one
+_MAX_PARALLEL_PASSES = 5  # over all pieces together, before they are done one by one
 # A rollout has diverged if it is faster than both:
 _MAX_SPEED = 1e3  # rad/s or m/s, which hardly any robot's joint reaches
-_MAX_SPEEDUP = 100.0  # times the fastest joint that was measured in its window
+_MAX_SPEED_RATIO = 100.0  # times the fastest joint that was measured in its window
 
 Report = Callable[[float], None]  # told the share that is done
 
@@ -84,38 +87,20 @@ def simulate(mechanism: Mechanism, windows: Sequence[Window], report: Report) ->
     """
     total = max(sum(map(len, windows)), 1)
     done = 0
-    for some in _batches(mechanism, windows):
-        size = sum(map(len, some))
-        report_part = partial(_report_part, report, done / total, size / total)
-        if len(some) == 1 and _is_cut(mechanism, some):
-            yield _simulate_in_pieces(mechanism, some[0], report_part)
-        else:
-            run = _Run(mechanism, some)
-            run.advance(np.arange(len(some)), report_part)
-            yield run.result()
+    for batch in _batches(mechanism, windows):
+        simulate_batch = _in_pieces if _is_cut_into_pieces(mechanism, batch) else _together
+        size = sum(map(len, batch))
+        yield from simulate_batch(mechanism, batch, partial(_report_part, report, done / total, size / total))
         done += size
 
 
 def _batches(mechanism: Mechanism, windows: Sequence[Window]) -> Iterator[tuple[Window, ...]]:
-    """Windows that advance together; one by itself if it is cut into pieces.
-
-    Where torques differ by log, they are of one log, since `Forces` takes one.
-    """
-    for batch in _bounded_batches(mechanism, windows):
-        if _is_cut(mechanism, batch):
-            for window in batch:
-                yield (window,)
-        else:
-            yield batch
-
-
-def _bounded_batches(mechanism: Mechanism, windows: Sequence[Window]) -> Iterator[tuple[Window, ...]]:
-    """As many windows as may advance together."""
+    """As many consecutive windows as memory allows to advance together, of one log where torques differ by log."""
     batch: list[Window] = []
     longest = 0
     for window in windows:
         longest = max(longest, len(window))
-        is_full = len(batch) == _MAX_TOGETHER or (len(batch) + 1) * longest > _most_samples(mechanism)
+        is_full = len(batch) == _MAX_ROLLOUTS or (len(batch) + 1) * longest > _most_samples(mechanism)
         is_of_other_log = mechanism.differs_by_log and bool(batch) and window.signals is not batch[0].signals
         if batch and (is_full or is_of_other_log):
             yield tuple(batch)
@@ -126,30 +111,45 @@ def _bounded_batches(mechanism: Mechanism, windows: Sequence[Window]) -> Iterato
         yield tuple(batch)
 
 
-def _is_cut(mechanism: Mechanism, batch: Sequence[Window]) -> bool:
-    """True if each window is cut into pieces, since one is too long, or since that takes fewer steps than all of it.
+def _together(mechanism: Mechanism, batch: tuple[Window, ...], report: Report) -> Iterator[SimulatedWindows]:
+    """All windows at once, each from its start to its end."""
+    run = _Run(mechanism, batch)
+    run.advance(np.arange(len(batch)), report)
+    yield run.result()
 
-    Without a controller, which makes motions forget how they began, it takes more.
+
+def _in_pieces(mechanism: Mechanism, batch: tuple[Window, ...], report: Report) -> Iterator[SimulatedWindows]:
+    """One window after the other, each cut into pieces that advance together."""
+    for k, window in enumerate(batch):
+        report_part = partial(_report_part, report, k / len(batch), 1 / len(batch))
+        yield _simulate_in_pieces(mechanism, window, report_part)
+
+
+def _is_cut_into_pieces(mechanism: Mechanism, batch: Sequence[Window]) -> bool:
+    """True if windows are simulated one after the other, in pieces: that takes fewer steps, or one needs much memory.
+
+    Without a controller, which makes motions forget how they began, it takes more steps.
     """
     if max(map(len, batch)) > _most_samples(mechanism):
         return True
     has_controller = any(window.signals.controller.joints.any() for window in batch)
-    most_pieces = max(len(window) / _piece_length(window) for window in batch)
-    return has_controller and most_pieces > _USUAL_PASSES * len(batch)
+    durations_together = max(len(window) / _piece_spacing(window) for window in batch)  # in those of a piece
+    durations_in_pieces = _EXPECTED_PASSES * len(batch)
+    return has_controller and durations_in_pieces < durations_together
 
 
 def _most_samples(mechanism: Mechanism) -> int:
-    """Largest number of samples of all windows that advance together."""
-    return _MAX_SIZE // mechanism.model.joint_count
+    """Largest number of samples of all windows that advance together, each counted as long as the longest."""
+    return _MAX_ARRAY_ELEMENTS // mechanism.model.joint_count
 
 
 def _report_part(report: Report, before: float, size: float, share: float) -> None:
     report(before + size * share)
 
 
-def _piece_length(window: Window) -> int:
-    """Samples of a piece."""
-    return max(round(_PIECE / window.dt), 1)
+def _piece_spacing(window: Window) -> int:
+    """Samples from the start of a piece to that of the next."""
+    return max(round(_PIECE_DURATION / window.dt), 1)
 
 
 def _simulate_in_pieces(mechanism: Mechanism, window: Window, report: Report) -> SimulatedWindows:
@@ -158,46 +158,49 @@ def _simulate_in_pieces(mechanism: Mechanism, window: Window, report: Report) ->
     q, v, tau = np.empty((3, len(window.signals.joints), 1, count))
     diverged = False
     state_vector = None
-    for section in _cut(window, _MAX_TOGETHER * _piece_length(window)):
+    for section in _cut(window, _MAX_ROLLOUTS * _piece_spacing(window)):
         before = (section.part.start - window.part.start) / count
         size = len(section) / count
         run = _simulate_section(mechanism, section, state_vector, partial(_report_part, report, before, size))
         state_vector = run.rollouts.state_vector[:, -1:]
-        pieces = run.result()
-        for w, piece in enumerate(pieces.windows):
+        simulated = run.result()
+        for w, piece in enumerate(simulated.windows):
             length = len(piece)
             start = piece.part.start - window.part.start
             at = slice(start, start + length)
-            if diverged:  # no state to begin in: stay where the rollout was stopped
+            if diverged:  # no state to begin in: stay at the first sample, which is also the last of the piece before
                 q[:, 0, at] = q[:, 0, start, None]
                 v[:, 0, at] = 0.0
                 tau[:, 0, at] = tau[:, 0, start, None]
             else:
-                q[:, 0, at] = pieces.q[:, w, :length]
-                v[:, 0, at] = pieces.v[:, w, :length]
-                tau[:, 0, at] = pieces.tau[:, w, :length]
-            diverged |= bool(pieces.diverged[w])
+                q[:, 0, at] = simulated.q[:, w, :length]
+                v[:, 0, at] = simulated.v[:, w, :length]
+                tau[:, 0, at] = simulated.tau[:, w, :length]
+            diverged |= bool(simulated.diverged[w])
     return SimulatedWindows((window,), q, v, tau, np.array([diverged]))
 
 
-def _cut(window: Window, length: int) -> tuple[Window, ...]:
+def _cut(window: Window, spacing: int) -> tuple[Window, ...]:
     """Parts of a window that begin a number of samples apart; each ends with the first sample of the next."""
-    part = window.part
-    parts = [slice(first, min(first + length + 1, part.stop)) for first in range(part.start, part.stop - 1, length)]
-    return tuple(Window(window.signals, part) for part in parts)
+    signals, whole = window.signals, window.part
+    parts = []
+    for first in range(whole.start, whole.stop - 1, spacing):
+        parts.append(Window(signals, slice(first, min(first + spacing + 1, whole.stop))))
+    return tuple(parts)
 
 
-def _simulate_section(mechanism: Mechanism, section: Window, state_vector: Array | None, report: Report) -> _Run:
+def _simulate_section(mechanism: Mechanism, section: Window, start_state: Array | None, report: Report) -> _Run:
     """A section from a state, shape (states, 1), or the measured one, in pieces that each begin where the last ended.
 
     At first each but the first begins in the measured state, and those that did not begin where the piece before them
     ended are done again from there. A controller makes motions forget how they began, so that few passes settle all;
     where it does not, they are done one after the other.
     """
-    pieces = _cut(section, _piece_length(section))
+    pieces = _cut(section, _piece_spacing(section))
     run = _Run(mechanism, pieces)
-    if state_vector is not None:
-        run.restart(np.zeros(1, dtype=np.intp), state_vector)
+    if start_state is not None:
+        first_piece = np.array([0])
+        run.restart(first_piece, start_state)
     todo = np.arange(len(pieces))
     passes = 0
     while todo.size:
@@ -208,7 +211,7 @@ def _simulate_section(mechanism: Mechanism, section: Window, state_vector: Array
         passes += 1
         jumps = np.abs(run.initial_state_vector[:, 1:] - run.rollouts.state_vector[:, :-1])
         todo = 1 + np.flatnonzero((jumps > _MAX_JUMP).any(axis=0))
-        if passes >= _MAX_PASSES:
+        if passes >= _MAX_PARALLEL_PASSES:
             todo = todo[:1]
     return run
 
@@ -236,15 +239,15 @@ class _Run:
         self._offset = mechanism.position_offset[:, None]
         states = [measured_states(window.signals, [window.part.start]) for window in windows]
         q, v = np.concatenate(states, axis=2)
-        measured_speeds = np.array([_fastest_measured(window) for window in windows])
-        self._max_speed = np.maximum(_MAX_SPEED, _MAX_SPEEDUP * measured_speeds)
+        measured_speeds = np.array([_fastest_measured_speed(window) for window in windows])
+        self._max_speed = np.maximum(_MAX_SPEED, _MAX_SPEED_RATIO * measured_speeds)
         step = np.minimum([samples_per_step(dt) * dt for dt in self._dt], LONGEST_STEP)
         base = _base_motion(windows, mechanism) if mechanism.model.has_floating_base else None
         names = {window.signals.log.path.name for window in windows}
         log = names.pop() if len(names) == 1 else ""
         with _immovable_as_error(mechanism):
             self.rollouts = Rollouts(mechanism, self._t0, q + self._offset, v, self._input_torque, step, log, base)
-            np.linalg.cholesky(self.rollouts.mass_matrix)
+            np.linalg.cholesky(self.rollouts.mass_matrix)  # raises where it is not positive definite
         self.initial_state_vector = self.rollouts.state_vector
         shape = (len(q), len(windows), self._last.max() + 1)
         self._q = np.zeros(shape)
@@ -279,7 +282,7 @@ class _Run:
             rollouts.advance(until, on_step)
 
     def _stop(self, rollout_ids: Indices, until: Array) -> None:
-        """Stop diverged rollouts: they stay where they last were."""
+        """Stop diverged rollouts: they stay where they were a sample before."""
         for rollout_id in rollout_ids:
             elapsed = self.rollouts.t[rollout_id] - self._t0[rollout_id]
             k = int(elapsed / self._dt[rollout_id])
@@ -295,8 +298,8 @@ class _Run:
         motor = self.rollouts.motor_coordinates
         start_sample = (start.t - t0) * rate
         end_sample = (end.t - t0) * rate
-        first = np.floor(start_sample + _ROUNDING).astype(np.intp) + 1
-        last = np.floor(end_sample + _ROUNDING).astype(np.intp)
+        first = np.floor(start_sample + _SAMPLE_TOLERANCE).astype(np.intp) + 1
+        last = np.floor(end_sample + _SAMPLE_TOLERANCE).astype(np.intp)
         for k in range(int((last - first).max()) + 1):
             columns = np.flatnonzero(first + k <= last)
             sample = first[columns] + k
@@ -319,7 +322,7 @@ class _Run:
         return SimulatedWindows(self._windows, self._q, self._v, tau, self._diverged)
 
 
-def _fastest_measured(window: Window) -> float:
+def _fastest_measured_speed(window: Window) -> float:
     """Greatest measured speed of any joint in a window [rad/s or m/s]; 0 if none was measured."""
     return float(np.fmax.reduce(np.abs(window.signals.velocity(window.part)), axis=None, initial=0.0))
 
