@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from inspect import unwrap
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from idtool.api.distribution import Distribution
 from idtool.api.log import Log
 from idtool.api.model import Model, Source, as_model
 from idtool.api.results import Progress
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError, LogError, TransferError
 from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.common.names import without_secrets

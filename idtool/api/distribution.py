@@ -5,10 +5,10 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from idtool.common.cluster import Cluster, open_cluster
+from idtool.common.dataclass import dataclass
 from idtool.common.processes import Progress, no_progress
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from idtool.api.effect_arguments import EffectAssumption, check_assumptions, parse_assumption
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError
 from idtool.dynamics.effects import effect_types
 from idtool.estimation.dataset.experiment import Experiment, Progress

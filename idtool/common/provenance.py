@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+from idtool.common.dataclass import dataclass
 
 _NUMERICAL = ("numpy", "scipy", "clarabel", "pin")  # libraries that figures may depend on
 _BLOCK_BYTES = 1 << 20

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError
 
 FOLDER = "sample_logs"

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial, wraps
 from threading import Event
 from types import TracebackType
 from typing import Generic, NoReturn, ParamSpec, TypeVar
 
+from idtool.common.dataclass import dataclass
 from idtool.common.memory import share_freed_memory
 from idtool.common.processes import process_count
 

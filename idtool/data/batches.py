@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Generic, TypeVar, overload
 
 from typing_extensions import override
+
+from idtool.common.dataclass import dataclass
 
 Item = TypeVar("Item", covariant=True)
 Other = TypeVar("Other")

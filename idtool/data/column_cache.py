@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
-from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Generic, TypeVar
 
 from typing_extensions import override
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 
 _MAX_BYTES = 1 << 30
 

@@ -7,11 +7,11 @@ is (errors in variables): it attenuates what the angular acceleration identifies
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.data.base_sensors import GYROSCOPE
 from idtool.data.logs.log import Channel, JointLog
 from idtool.data.power_density import power_density

@@ -6,11 +6,11 @@ Shapes: N samples.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.data.logs.log import Channel, JointLog
 from idtool.robot.config import Config
 from idtool.robot.model import RobotModel

@@ -11,13 +11,14 @@ Letters: nv joints, n samples. The level is the rms over the joints of the resid
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter1d
 
 from idtool.common.arrays import Array, Indices, Mask, joined_runs
+from idtool.common.dataclass import dataclass
 from idtool.data.logs import JointLog
 from idtool.diagnosis.pushes import find_pushes, raised_windows
 from idtool.diagnosis.robust_residual import RobustResidual, robust_residual

@@ -10,12 +10,13 @@ the best one is completed by a third effect.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.diagnosis.candidate_fit import (
     NEARLY_ALL,
     explained_share_above_noise,

@@ -8,9 +8,9 @@ their place is searched for.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
+from idtool.common.dataclass import dataclass
 from idtool.common.processes import in_processes, interleaved_shares
 from idtool.diagnosis.extended_model import AddedEffect, ExtendedModel
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit

@@ -6,12 +6,13 @@ Term by term, the simulator's model can be changed to what the robot has, and co
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.diagnosis.linearized_fit import linearize_fit
 from idtool.diagnosis.records import RIGID_BODY
 from idtool.diagnosis.trial import FAILURES, fit_trial, has_fixed_inertia, with_effects

@@ -10,12 +10,12 @@ gain by chance is that many times larger than with independent rows.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.number_text import short_number
 from idtool.diagnosis.linearized_fit import LinearizedFit
 from idtool.diagnosis.records import Candidate

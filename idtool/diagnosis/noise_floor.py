@@ -12,11 +12,12 @@ The filter spreads this over the samples around each rest and each reversal.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.data.power_density import periodograms
 from idtool.data.signals import Batch
 from idtool.diagnosis.residual_series import MIN_SHARE

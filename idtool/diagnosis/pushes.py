@@ -10,7 +10,6 @@ Letters: nv joints, n samples, e residuals in units of each joint's noise, b the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.optimize import least_squares
 
 from idtool.common.arrays import Array, Indices, Mask, joined_runs
+from idtool.common.dataclass import dataclass
 from idtool.diagnosis.robust_residual import RobustResidual
 from idtool.dynamics.effects.data_summary import Burst
 from idtool.robot.body import Body, Frame

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Literal
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.notice import Notice
 from idtool.dynamics.effects import effect_name, target_name
 from idtool.dynamics.effects.named_effect import Cause

@@ -9,11 +9,11 @@ Letters: nv joints, n samples.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.number_text import number, range_text, short_number
 from idtool.diagnosis.residual_series import ResidualSeries
 from idtool.diagnosis.spectra import angle_spectrum, masked_power_density

@@ -9,12 +9,12 @@ Letters: nv joints, n samples, m models.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.data.signals import Batch
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.experiment import Experiment, Progress

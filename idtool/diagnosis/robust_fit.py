@@ -9,11 +9,10 @@ Letters: F blocks; nv joints; p coefficients; m_j of joint j's equation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.estimation.dataset.blocks import cut_into_blocks
 from idtool.estimation.dataset.experiment import Experiment, Progress, tracked
 

@@ -5,12 +5,12 @@ Letters: nv joints, n samples.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.diagnosis.residual_series import residual_chunks, segments_between
 from idtool.diagnosis.robust_fit import robust_coefficients
 from idtool.estimation.dataset.experiment import Experiment, Progress

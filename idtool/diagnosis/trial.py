@@ -8,13 +8,14 @@ parameter is one more column. `screen_probes` evaluates it as any other. This gi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import reduce
 from itertools import product
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import IdtoolError
 from idtool.data.signals import Motion
 from idtool.diagnosis.linearized_fit import LinearizedFit, linearize_fit

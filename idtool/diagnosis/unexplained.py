@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.diagnosis.candidate_fit import MIN_SHARE_OF_TORQUE
 from idtool.diagnosis.error_summary import NEGLIGIBLE_SHARE
 from idtool.diagnosis.generic_probes import UNKNOWN, generic_probes

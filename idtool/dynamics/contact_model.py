@@ -25,12 +25,13 @@ Shapes: nv generalized coordinates, N samples, k components of unknown contact f
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.units import STANDARD_GRAVITY
 from idtool.data.column_cache import IdentityKey
 from idtool.data.contact_channels import ContactSamples

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.data.signals import Motion
 from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import RobotModel

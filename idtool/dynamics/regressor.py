@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property, partial
 from hashlib import blake2b
 from typing import NamedTuple
@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask, dilated
+from idtool.common.dataclass import dataclass
 from idtool.data.column_cache import IdentityKey
 from idtool.data.signals import Batch, Motion, reversals
 from idtool.dynamics.contact_model import ContactModel

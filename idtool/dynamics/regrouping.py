@@ -22,11 +22,12 @@ Letters: p coefficients theta; r of them kept, with the regrouped values beta; o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.dynamics.effects.effect import Effect
 from idtool.dynamics.effects.rigid_body import ALL_PARAMETERS, ParameterSubset, RigidBodies
 from idtool.dynamics.regressor import LinearModel

@@ -14,13 +14,14 @@ Letters: p coefficients theta, Y their columns; K delays; g = d tau / d delay.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebval, chebvander
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import least_squares, svd
 from idtool.common.notice import Notice

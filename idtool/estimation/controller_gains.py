@@ -49,12 +49,13 @@ Letters and shapes, ' is a transpose:
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import null_space
 from idtool.common.names import join_names

@@ -12,12 +12,13 @@ import hashlib
 import json
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from glob import escape
 from pathlib import Path
 from typing import Any, Self
 
 from idtool.common.cluster import Cluster
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError, IdtoolError, LogError, TransferError
 from idtool.common.input_files import REDUCTION_SUFFIX
 from idtool.common.names import count_text, join_names

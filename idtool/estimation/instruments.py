@@ -10,12 +10,12 @@ along the instruments' motion and the measured one, tau_j (n,) torque, all throu
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.common.processes import shared_among_processes
 from idtool.data.batches import BatchSpan

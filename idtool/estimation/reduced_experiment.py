@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from typing_extensions import override
 
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError, LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice, unique

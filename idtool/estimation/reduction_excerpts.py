@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError
 from idtool.common.notice import Notice
 from idtool.data.excerpt import duration_of

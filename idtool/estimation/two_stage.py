@@ -17,11 +17,12 @@ motions as in `instruments`; sigma_j noise of a joint's torque [N·m or N].
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.linear_algebra import svd
 from idtool.common.names import join_names
 from idtool.common.notice import Notice

@@ -16,12 +16,12 @@ Letters: r base parameters, p coefficients; W (rows, r), M and C (r, r).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import right_svd
 from idtool.common.names import suggestion

@@ -17,11 +17,12 @@ by its parameters, and its torque).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError, IdtoolError
 from idtool.common.linear_algebra import least_squares
 from idtool.data.signals import Batch, Signals, default_cutoff

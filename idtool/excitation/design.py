@@ -9,7 +9,7 @@ Shapes: nv joints, N samples, r base parameters, p coefficients. Units: rad or m
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import suggestion
 from idtool.common.number_text import short_number

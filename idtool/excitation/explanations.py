@@ -6,11 +6,12 @@ Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError
 from idtool.data.signals import Motion, default_cutoff
 from idtool.diagnosis.effect_search import EffectSearch

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.estimation.dataset.reduction import Reduction
 
 

@@ -6,11 +6,11 @@ Shapes: nv joints, N samples, r base parameters, p coefficients. Units: rad or m
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import suggestion
 from idtool.common.number_text import short_number

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.special import ndtri, stdtridf, stdtrit
 
+from idtool.common.dataclass import dataclass
 from idtool.common.units import INERTIA_UNITS, friction_units
 from idtool.dynamics.effects import effect_name, target_name
 from idtool.estimation.uncertainty.standard_errors import CONFIDENCE

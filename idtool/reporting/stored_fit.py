@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails, from_json
 
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.common.input_files import read_error_text
 from idtool.common.names import printable

@@ -6,12 +6,13 @@ another, phi a body's own coordinate [rad or m].
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inertia import parameter_transform, symmetric_matrix
 from idtool.robot.shapes import Shape

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import combinations, product
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import coal
@@ -19,6 +18,7 @@ from lxml import etree
 from scipy.spatial import ConvexHull, QhullError
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice

@@ -5,12 +5,11 @@ S = {x : (x − x_s)ᵀ Q_s⁻¹ (x − x_s) ≤ 1} (23), or homogeneously {x : 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.robot.convex import principal_axes
 from idtool.robot.rotation import rotation_from_rpy, rpy_from_rotation
 

@@ -8,11 +8,12 @@ Letters: pi (10,) a body's parameters; x (K,) the unknowns of a piece, pi = basi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.robot.inertia import J_BASIS, LENGTH_POWERS, PI_SIZE, from_pseudo_inertia
 
 

@@ -6,12 +6,12 @@ sample. For any other axis, the frames are turned by constant matrices so that i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 
 
 @dataclass(frozen=True)

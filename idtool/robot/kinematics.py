@@ -9,12 +9,12 @@ of length 1 stands for all samples.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.robot.body import Body, Frame
 from idtool.robot.joint_rotation import JointRotation
 from idtool.robot.model import RobotModel

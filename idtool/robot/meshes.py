@@ -12,7 +12,6 @@ import logging
 import os
 import warnings
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -21,6 +20,7 @@ import numpy as np
 from lxml import etree
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.robot.urdf.reading import parse_xml
 

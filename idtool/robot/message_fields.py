@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+
+from idtool.common.dataclass import dataclass
 
 SIGNAL_KEYS = ("q", "v", "tau", "qcmd", "vcmd")
 JOINT_NAME = "name"  # key of the joints' names

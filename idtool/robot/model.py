@@ -17,11 +17,12 @@ accelerometer measures and which includes gravity. The generalized forces on the
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice

@@ -7,12 +7,12 @@ J, Q the pseudo-inertia and the homogeneous matrix of the ellipsoid S (paper, Th
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.number_text import short_number
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inequality import REALIZABLE, Inequality

@@ -6,9 +6,10 @@ They follow from the channels of the logs, and from the names and the geometry o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
+from idtool.common.dataclass import dataclass
 from idtool.common.names import join_names
 from idtool.data.logs import JointLog
 from idtool.robot.config import Config

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
+from idtool.common.dataclass import dataclass
 from idtool.robot.body import Body
 from idtool.robot.bounding import bounding_ellipsoids, ellipsoids_config
 from idtool.robot.ellipsoid import Ellipsoid

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from idtool.common.dataclass import dataclass
 from idtool.dynamics.effects import effect_types
 from idtool.robot.config import Config
 from idtool.robot.urdf.reading import Robot

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from idtool.common.dataclass import dataclass
 from idtool.robot.geometry import link_geometry, link_sphere
 from idtool.robot.model import RobotModel
 from idtool.robot.urdf.reading import Robot

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable
 from idtool.common.notice import Notice

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from idtool.common.dataclass import dataclass
 from idtool.data.base_sensors import ACCELEROMETER, GYROSCOPE, ORIENTATION, POSE
 from idtool.data.logs import JointLog
 from idtool.data.logs.sensor_channels import finite_samples

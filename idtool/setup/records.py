@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
+from idtool.common.dataclass import dataclass
 from idtool.common.notice import Notice
 
 

@@ -8,11 +8,12 @@ different angles.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.data.signals import Signals
 from idtool.estimation.dataset.experiment import Experiment
 from idtool.estimation.dataset.foot_kinematics import flagged_feet, foot_motions, without_mean

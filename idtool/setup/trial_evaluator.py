@@ -7,12 +7,13 @@ training parts and scored on the held-out parts; neither is read again.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError, SolverError
 from idtool.dynamics.armature import with_armature
 from idtool.dynamics.effects import build_effects

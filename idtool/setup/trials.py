@@ -8,12 +8,13 @@ whose value is searched, such as a delay of the torque, come first: they would p
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.data.logs import JointLog

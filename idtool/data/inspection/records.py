@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+from idtool.common.dataclass import dataclass
 from idtool.common.notice import Notice
 
 FaultKind = Literal[

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError
 from idtool.common.names import closest_name, join_names, printable, suggestion
 from idtool.data.logs.log import SIGNALS

@@ -6,12 +6,12 @@ Examples are an arm and a gripper that publish on one topic, and two topics expo
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.names import count_text, join_names
 from idtool.common.notice import Notice
 from idtool.data.logs.log import JointLog, make_log

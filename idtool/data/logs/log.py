@@ -7,12 +7,13 @@ Letters: t time [s], q position [rad or m], v velocity [rad/s or m/s], tau torqu
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError
 from idtool.common.names import count_text
 from idtool.common.notice import Notice

@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import BinaryIO
@@ -21,6 +21,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from idtool.common.arrays import Indices, indices_by_value, items_at
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError
 from idtool.common.threads import Job, evaluated_ahead
 from idtool.data.logs.sample_buffer import Samples

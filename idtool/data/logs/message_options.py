@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
 
+from idtool.common.dataclass import dataclass
 from idtool.common.names import join_names, printable
 from idtool.data.logs.payloads import field_decoders_for
 from idtool.data.logs.payloads.base import FieldDecoders, FieldError, MessageFields

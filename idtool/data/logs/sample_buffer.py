@@ -8,7 +8,6 @@ Signals as in `idtool.data.logs.log`; N samples and nj joints so far.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError
 from idtool.data.logs.stored_arrays import StoredRows, blocks, blocks_of, is_memory_full
 

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError
 from idtool.common.names import count_text, join_names, printable, suggestion
 from idtool.common.notice import Notice

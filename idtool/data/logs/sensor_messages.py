@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.names import printable
 from idtool.data.logs.log import SET, Channel
 from idtool.data.logs.merged_rows import merge_rows, take_rows

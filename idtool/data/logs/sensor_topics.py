@@ -7,13 +7,13 @@ channels, too; see `message_options`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from mcap.records import Channel as ChannelDefinition
 from mcap.records import Schema
 
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice

@@ -5,12 +5,13 @@ The states are messages of joint states, or the fields of other messages; see `m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from mcap.records import Channel, Schema
 
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.data.logs.definitions import Definitions, list_topics, message_type

@@ -12,12 +12,13 @@ Letters: nv joints, n samples in the band; u_j share of the power of joint j's t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import SolverError
 from idtool.common.linear_algebra import least_squares
 from idtool.data.signals import Batch, Motion

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask, dilated
+from idtool.common.dataclass import dataclass
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.fixed_effect import FixedJointEffect

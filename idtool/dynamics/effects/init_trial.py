@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from idtool.common.dataclass import dataclass
 from idtool.common.number_text import short_number
 
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.dynamics.effects.data_summary import DataSummary
 from idtool.dynamics.effects.effect import Effect
 from idtool.dynamics.effects.init_trial import InitTrial

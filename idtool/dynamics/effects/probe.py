@@ -8,11 +8,12 @@ predicted torque by its parameter, in units of the measured torque.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.linearization import Linearization
 from idtool.robot.config import EffectEntry

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Indices, Mask, mask_runs
+from idtool.common.dataclass import dataclass
 from idtool.data.column_cache import IdentityKey
 from idtool.data.signals import Motion
 from idtool.dynamics.effects.effect import Coefficient, Effect

@@ -6,7 +6,7 @@ known where they are written.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from idtool.common.dataclass import dataclass
 
 
 @dataclass(frozen=True)

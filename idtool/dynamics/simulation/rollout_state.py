@@ -6,11 +6,12 @@ Letters: q, v, a positions, velocities, accelerations (n, W), M mass matrix (W, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 
 _BY_COLUMN = ("q", "v", "force", "friction_level", "s", "sticking", "a", "hysteresis")
 
@@ -68,6 +69,11 @@ class RolloutState:
             getattr(self, name)[:, columns] = getattr(part, name)
 
     @property
+    def motion(self) -> Array:
+        """Position, velocity and acceleration, shape (3, n, W)."""
+        return np.stack([self.q, self.v, self.a])
+
+    @property
     def friction_margin(self) -> Array:
         """Torque by which sticking friction could hold more than it does, shape (n, W)."""
         return np.asarray(self.friction_level - np.abs(self.holding_force))
@@ -78,13 +84,13 @@ class RolloutState:
         return self.force - self.s * self.friction_level - multiply(self.M, self.a)
 
 
-def interpolate(start: RolloutState, end: RolloutState, h: Array, share: Array) -> tuple[Array, Array]:
+def interpolate(start: Array, end: Array, h: Array, share: Array) -> tuple[Array, Array]:
     """Position and velocity within a step, by the polynomials of lowest order through what is known at its ends.
 
     Parameters
     ----------
     start, end
-        Its ends, with the same direction of friction.
+        Position, velocity and acceleration at its ends, with the same direction of friction, shape (3, n, W).
     h
         Its length, shape (W,) [s].
     share
@@ -95,13 +101,13 @@ def interpolate(start: RolloutState, end: RolloutState, h: Array, share: Array) 
     q, by the polynomial of order 5, and v, by that of order 3, shape (n, W).
     """
     x = share
-    rise = end.q - start.q
-    v0, v1 = h * start.v, h * end.v
-    a0, a1 = h**2 * start.a, h**2 * end.a
+    q0, v0, a0 = start[0], h * start[1], h**2 * start[2]
+    q1, v1, a1 = end[0], h * end[1], h**2 * end[2]
+    rise = q1 - q0
     c3 = 10 * rise - 6 * v0 - 4 * v1 - 1.5 * a0 + 0.5 * a1
     c4 = -15 * rise + 8 * v0 + 7 * v1 + 1.5 * a0 - a1
     c5 = 6 * rise - 3 * (v0 + v1) - 0.5 * (a0 - a1)
-    q = start.q + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5))))
+    q = q0 + x * (v0 + x * (a0 / 2 + x * (c3 + x * (c4 + x * c5))))
     v = cubic_hermite(x, v0, v1, a0, a1) / h
     return q, v
 

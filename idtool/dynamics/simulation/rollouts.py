@@ -205,7 +205,7 @@ class Rollouts:
         cut = np.flatnonzero(first < 1)
         if cut.size:
             start_cut = start.select(cut)
-            q, v = interpolate(start_cut, end.select(cut), step[cut], first[cut])
+            q, v = interpolate(start_cut.motion, end.motion[:, :, cut], step[cut], first[cut])
             v[stops[:, cut]] = 0.0
             end.assign(cut, self._forces.state_after(start_cut, first[cut] * step[cut], q, v))
         end.v[stops] = 0.0

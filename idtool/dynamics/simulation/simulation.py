@@ -14,12 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.data.signals import Signals
 from idtool.dynamics.mechanism import Mechanism
@@ -33,6 +33,7 @@ _MAX_ARRAY_ELEMENTS = 1 << 22  # of one signal of theirs, padded to the longest
 _PIECE_DURATION = 1.0  # s
 _EXPECTED_PASSES = 3  # over the pieces of a window, until each begins where the one before it ends
 _SAMPLE_TOLERANCE = 1e-6  # of a sample
+_STEPS_AT_ONCE = 64  # whose samples are recorded together
 _MAX_JUMP = 1e-7  # SI: between the end of a piece and the start of the next
 _MAX_PARALLEL_PASSES = 5  # over all pieces together, before they are done one by one
 # A rollout has diverged if it is faster than both:
@@ -253,6 +254,7 @@ class _Run:
         self._q = np.zeros(shape)
         self._v = np.zeros(shape)
         self._diverged = np.zeros(len(windows), dtype=bool)
+        self._steps: list[_Step] = []  # whose samples are still to be recorded
 
     def restart(self, rollout_ids: Indices, state_vector: Array) -> None:
         """Restart some rollouts from states, shape (states, w)."""
@@ -270,16 +272,21 @@ class _Run:
         until[rollout_ids] = self._t0[rollout_ids] + durations[rollout_ids]
 
         def on_step(stepped_ids: Indices, start: RolloutState, end: RolloutState) -> None:
-            self._record_samples(stepped_ids, start, end)
+            times = start.t.copy(), end.t.copy()  # the state that a step ends with changes with later steps
+            self._steps.append(_Step(stepped_ids, *times, start.motion, end.motion))
             fastest = np.abs(end.v).max(axis=0)
             diverged_ids = stepped_ids[~(fastest < self._max_speed[stepped_ids])]  # NaN has diverged, too
+            if diverged_ids.size or len(self._steps) == _STEPS_AT_ONCE:
+                self._record_samples()
+                elapsed = (rollouts.t - self._t0)[stepped_ids]
+                report(float(np.min(elapsed / durations[stepped_ids])))
             if diverged_ids.size:
                 self._stop(diverged_ids, until)
-            elapsed = (rollouts.t - self._t0)[stepped_ids]
-            report(float(np.min(elapsed / durations[stepped_ids])))
 
         with _immovable_as_error(self._mechanism):
             rollouts.advance(until, on_step)
+        self._record_samples()
+        report(1.0)
 
     def _stop(self, rollout_ids: Indices, until: Array) -> None:
         """Stop diverged rollouts: they stay where they were a sample before."""
@@ -291,35 +298,69 @@ class _Run:
         self._diverged[rollout_ids] = True
         until[rollout_ids] = -np.inf
 
-    def _record_samples(self, rollout_ids: Indices, start: RolloutState, end: RolloutState) -> None:
-        """Record the motion at the samples that lie in a step."""
-        rate = 1 / self._dt[rollout_ids]
-        t0 = self._t0[rollout_ids]
+    def _record_samples(self) -> None:
+        """Record the motion at the samples that lie in the steps since the last call."""
+        if not self._steps:
+            return
+        step = _joined(self._steps)
+        self._steps.clear()
+        rate = 1 / self._dt[step.rollout_ids]
+        t0 = self._t0[step.rollout_ids]
         motor = self.rollouts.motor_coordinates
-        start_sample = (start.t - t0) * rate
-        end_sample = (end.t - t0) * rate
+        start_sample = (step.start_time - t0) * rate
+        end_sample = (step.end_time - t0) * rate
         first = np.floor(start_sample + _SAMPLE_TOLERANCE).astype(np.intp) + 1
         last = np.floor(end_sample + _SAMPLE_TOLERANCE).astype(np.intp)
         for k in range(int((last - first).max()) + 1):
             columns = np.flatnonzero(first + k <= last)
             sample = first[columns] + k
-            h = (end.t - start.t)[columns]
+            h = (step.end_time - step.start_time)[columns]
             share = np.minimum((sample - start_sample[columns]) / (end_sample - start_sample)[columns], 1.0)
-            if columns.size == len(rollout_ids):
-                q, v = interpolate(start, end, h, share)
-            else:
-                q, v = interpolate(start.select(columns), end.select(columns), h, share)
-            self._q[:, rollout_ids[columns], sample] = q[motor] - self._offset
-            self._v[:, rollout_ids[columns], sample] = v[motor]
+            q, v = interpolate(step.start_motion[:, :, columns], step.end_motion[:, :, columns], h, share)
+            self._q[:, step.rollout_ids[columns], sample] = q[motor] - self._offset
+            self._v[:, step.rollout_ids[columns], sample] = v[motor]
 
     def result(self) -> SimulatedWindows:
         """Motion and torque as sensors would give them."""
         tau = np.empty_like(self._q)
-        rollout_ids = np.arange(len(self._windows))
-        for k in range(tau.shape[2]):
-            t = self._t0 + np.minimum(k, self._last) * self._dt
-            tau[:, :, k] = self._input_torque.measured_torque(t, self._q[:, :, k], self._v[:, :, k], rollout_ids)
+        samples = np.arange(tau.shape[2])
+        for w, (start_time, dt, last) in enumerate(zip(self._t0, self._dt, self._last, strict=True)):
+            t = start_time + np.minimum(samples, last) * dt
+            rollout_ids = np.full(len(t), w)
+            tau[:, w] = self._input_torque.measured_torque(t, self._q[:, w], self._v[:, w], rollout_ids)
         return SimulatedWindows(self._windows, self._q, self._v, tau, self._diverged)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step of w rollouts, or several ones side by side.
+
+    Attributes
+    ----------
+    rollout_ids
+        Indices of the rollouts, shape (w,).
+    start_time, end_time
+        Shape (w,) [s].
+    start_motion, end_motion
+        Position, velocity and acceleration, shape (3, n, w).
+    """
+
+    rollout_ids: Indices
+    start_time: Array
+    end_time: Array
+    start_motion: Array
+    end_motion: Array
+
+
+def _joined(steps: Sequence[_Step]) -> _Step:
+    """Steps side by side."""
+    return _Step(
+        rollout_ids=np.concatenate([step.rollout_ids for step in steps]),
+        start_time=np.concatenate([step.start_time for step in steps]),
+        end_time=np.concatenate([step.end_time for step in steps]),
+        start_motion=np.concatenate([step.start_motion for step in steps], axis=2),
+        end_motion=np.concatenate([step.end_motion for step in steps], axis=2),
+    )
 
 
 def _fastest_measured_speed(window: Window) -> float:

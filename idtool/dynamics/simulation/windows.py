@@ -6,11 +6,11 @@ Shapes: nv joints, W windows. Units: rad or m, s.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.data.signals import BATCH_SAMPLES, Signals
 from idtool.dynamics.contact_model import ContactModel, contacts_of
 

@@ -12,11 +12,12 @@ A contact on the base whose flag is ``auto``, such as a rope, is closed while no
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError
 from idtool.common.names import join_names
 from idtool.common.notice import Notice

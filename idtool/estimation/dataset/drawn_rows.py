@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.data.logs.log import JointLog
 from idtool.dynamics.row_filter import Shares
 from idtool.estimation.dataset.reduction import Factor, Reduction

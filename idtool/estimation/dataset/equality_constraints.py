@@ -8,11 +8,12 @@ Letters: theta (p,) coefficients; z (p',) those that are no copies; K (p, p').
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError
 from idtool.common.names import join_names, suggestion
 from idtool.common.notice import Notice

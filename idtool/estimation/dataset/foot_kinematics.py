@@ -11,11 +11,12 @@ Shapes: N samples, nv coordinates. Everything is along the axes of the base.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.units import STANDARD_GRAVITY
 from idtool.data.base_sensors import PoseSensors
 from idtool.data.contact_channels import ContactSamples

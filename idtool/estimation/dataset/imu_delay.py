@@ -7,11 +7,12 @@ The gyroscope measures the same, later.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.notice import Notice
 from idtool.common.number_text import short_number
 from idtool.data.base_sensors import BaseSensors

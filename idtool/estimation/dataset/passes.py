@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
 
+from idtool.common.dataclass import dataclass
 from idtool.common.processes import Progress, in_processes, process_count
 from idtool.data.batches import Batches
 

@@ -10,13 +10,14 @@ factors of a reduction, are those of the first robot, then those of the second, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.dynamics.effects import Coefficient, friction_types
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks

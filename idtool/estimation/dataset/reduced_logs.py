@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.data.batches import Batches
 from idtool.data.excerpt import excerpt_of, seconds_that_fit
 from idtool.data.logs import JointLog

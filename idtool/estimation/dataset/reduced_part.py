@@ -7,12 +7,13 @@ decimation would fold into the band.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.data.filters import LowPass
 from idtool.data.signals import Batch, Signals
 from idtool.dynamics.regressor import LinearModel

@@ -8,11 +8,12 @@ number.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.threads import in_threads
 from idtool.dynamics.regrouping import RegroupedModel
 

@@ -5,11 +5,10 @@ Letters: p coefficients theta; sigma_j noise of joint j's torque [N·m or N].
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.linear_algebra import compressed_rows, least_squares
 from idtool.common.units import STANDARD_GRAVITY
 from idtool.dynamics.regressor import LinearModel

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.dynamics.effects.effect import Effect
 from idtool.dynamics.effects.wrench_sensor_offset import WrenchSensorOffset, further_offsets
 from idtool.dynamics.regressor import LinearModel

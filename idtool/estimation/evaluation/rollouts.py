@@ -10,12 +10,13 @@ Shapes: nv joints, N samples. Units: rad or m, s.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.common.notice import Notice
 from idtool.common.processes import in_processes

@@ -6,13 +6,14 @@ Shapes: nv joints, N samples. Units: rad or m, s, N·m or N.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import LogError, ModelError
 from idtool.common.names import join_names
 from idtool.data.base_sensors import needed_channels

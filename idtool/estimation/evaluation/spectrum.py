@@ -7,11 +7,12 @@ columns'. White noise through a low-pass counts as its band; a residual as slow 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.fourier import fast_length
 
 _LONGEST_LAG = 2.0  # s

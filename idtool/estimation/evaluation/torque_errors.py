@@ -7,11 +7,12 @@ error against the torque as logged compares the filtered prediction with the unf
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.data.signals import Batch, Motion
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.envelope import Envelope, Trace

@@ -6,12 +6,12 @@ Letters as in `problem`; Z the dual matrices of the inequalities.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.estimation.problem.problem import Problem
 from idtool.robot.inequality import smallest_value
 from idtool.robot.inertia import J_BASIS, PI_SIZE

@@ -11,7 +11,7 @@ equal at the optimum (Ben-Tal & Nemirovski, Lectures on Modern Convex Optimizati
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from typing import Any
 
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import InfeasibleError, SolverError
 from idtool.common.names import join_names
 from idtool.estimation.problem.prior import LogDet

@@ -7,11 +7,11 @@ form, of K variables and n rows each.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.estimation.problem.problem import Problem
 
 

@@ -9,11 +9,12 @@ the known total mass, or else from the torque.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.common.number_text import short_number

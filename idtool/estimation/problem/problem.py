@@ -14,12 +14,12 @@ torque [N·m or N].
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError
 from idtool.common.linear_algebra import svd
 from idtool.dynamics.regressor import LinearModel

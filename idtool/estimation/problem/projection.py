@@ -5,12 +5,12 @@ Letters: pi (10,) parameters; z = pi in units of the body's own mass and size.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import SolverError
 from idtool.dynamics.effects.rigid_body import parameter_scales
 from idtool.estimation.problem.estimate import solve

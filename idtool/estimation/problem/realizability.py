@@ -6,11 +6,12 @@ Letters: pi (10,) parameters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.number_text import short_number
 from idtool.dynamics.effects.rigid_body import typical_length
 from idtool.estimation.problem.conic import solve_conic

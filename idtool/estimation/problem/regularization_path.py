@@ -20,13 +20,13 @@ Letters as in `problem`; W weights; F folds; B blocks of time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import block_diag
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.processes import Progress, no_progress, shared_among_processes
 from idtool.common.threads import in_threads
 from idtool.dynamics.regressor import LinearModel

@@ -6,11 +6,11 @@ Letters as in `problem`: z (p',) coefficients that are no copies, x (m,) variabl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.dynamics.effects.rigid_body import typical_length
 from idtool.robot.body import Body
 from idtool.robot.inequality import Piece

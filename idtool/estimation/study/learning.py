@@ -8,11 +8,11 @@ would have to be very short for less data than parameters, where the sets differ
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import SolverError
 from idtool.common.processes import shared_among_processes
 from idtool.estimation.dataset.blocks import merge_reductions

@@ -13,11 +13,10 @@ Letters: p coefficients theta; r base parameters beta; B (r, p).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.linear_algebra import compressed_rows
 from idtool.data.signals import Motion
 from idtool.dynamics.regressor import LinearModel

@@ -8,13 +8,13 @@ efficient.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from scipy.special import stdtr
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.common.linear_algebra import least_squares
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions, rounded_count

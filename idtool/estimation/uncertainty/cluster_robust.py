@@ -14,12 +14,13 @@ cost.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.memory import release_freed_memory
 from idtool.common.threads import in_threads
 from idtool.dynamics.regressor import LinearModel

@@ -6,11 +6,11 @@ Their estimates are independent, with errors of different size that are themselv
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.processes import Progress, shared_among_processes
 from idtool.dynamics.regressor import LinearModel
 from idtool.estimation.dataset.blocks import Blocks

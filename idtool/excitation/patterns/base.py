@@ -10,12 +10,12 @@ Letters: q, v, a positions, velocities, accelerations, shape (nv, N) [rad or m, 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.excitation.limits import Limits
 from idtool.robot.model import RobotModel
 

@@ -9,14 +9,13 @@ Letters: tip positions (3, N) in the root link [m]; q (nv, N).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.interpolate import BSpline as Spline
 from scipy.interpolate import make_interp_spline
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import suggestion
 from idtool.excitation.patterns.base import MotionSamples, Pattern, PatternSpec, smooth_step

@@ -7,12 +7,13 @@ of no leg.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from typing_extensions import override
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError, ModelError
 from idtool.common.names import suggestion
 from idtool.estimation.dataset.experiment import Progress, signals_of

@@ -11,12 +11,12 @@ Letters: F (k, N) components of the wrenches of all feet along the axes of the w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.excitation.standing.feet import Foot
 
 _RIDGE = 1e-9  # of the largest diagonal entry: forces that take no torque, as along a straight leg, are equal

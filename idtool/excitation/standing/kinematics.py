@@ -21,13 +21,14 @@ Shapes: N samples, n joints, m constraints, d independent coordinates; w (n + 6,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array, Indices, Mask
+from idtool.common.dataclass import dataclass
 from idtool.common.units import STANDARD_GRAVITY
 from idtool.excitation.patterns import MotionSamples
 from idtool.excitation.standing.feet import Foot

@@ -5,12 +5,12 @@ Shapes: n joints, nv coordinates of the model, N samples. Units: rad or m, s, NÂ
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.units import STANDARD_GRAVITY
 from idtool.data.contact_channels import ContactSamples
 from idtool.data.signals import Motion

@@ -9,11 +9,11 @@ Shapes: n joints, nv coordinates of the model, N samples, d independent coordina
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.common.number_text import short_number
 from idtool.common.units import STANDARD_GRAVITY

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
+from idtool.common.dataclass import dataclass
 from idtool.common.number_text import short_number
 
 

@@ -6,12 +6,13 @@ need no word about which effect they come from; of torque on joints the effect s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.dynamics.armature import with_armature
 from idtool.dynamics.effects import NamedEffect, RigidBodies, build_effects, mechanism_of

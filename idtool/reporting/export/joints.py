@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from idtool.common.dataclass import dataclass
 from idtool.common.number_text import short_number
 from idtool.dynamics.effects.simulator_element import (
     ConstantTorque,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Literal
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.number_text import number, short_number
 from idtool.diagnosis.records import RIGID_BODY
 from idtool.dynamics.effects import effect_from_entry, effect_types, mechanism_of

@@ -10,11 +10,12 @@ Letters: nv joints, pi inertia parameters (10,), v joint velocities (nv,).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.identified import IdentifiedModel
 from idtool.reporting.export.inertia_check import unrealizable_error

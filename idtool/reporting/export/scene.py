@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from lxml import etree
 from scipy.spatial.transform import Rotation
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.reporting.export.base import Part
 from idtool.reporting.export.identified import IdentifiedModel
 from idtool.reporting.export.inertia_check import is_acceptable, slack, unrealizable_error

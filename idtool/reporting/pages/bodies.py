@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.reporting.results.fit import BodyReport, PointMasses
 from idtool.robot.inertia import PI_SIZE
 from idtool.robot.model import RobotModel

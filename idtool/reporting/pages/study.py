@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.estimation.evaluation.torque_errors import Evaluation
 from idtool.reporting.number_text import rows_by_unit
 from idtool.reporting.pages.base import render

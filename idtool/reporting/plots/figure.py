@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.reporting.plots.sampling import round_significant
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
+from idtool.common.dataclass import dataclass
 from idtool.estimation.dataset.envelope import Trace
 from idtool.reporting.plots.figure import Figure, FigureGroup
 from idtool.reporting.plots.sampling import merge_stretches, round_curve

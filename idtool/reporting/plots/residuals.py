@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.units import position_units
 from idtool.diagnosis.records import ResidualProfile
 from idtool.reporting.plots.figure import SHORT, Figure, FigureGroup, Panel, PlotlyTrace, curve, figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Annotated, Any, Self, TypeVar, cast, get_args
 
 import numpy as np
@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetPyda
 from pydantic_core import core_schema
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.notice import Notice, Severity, unique
 from idtool.common.provenance import InputFile as ProvenanceSource
 from idtool.common.provenance import provenance

@@ -8,9 +8,10 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Generic, Literal, TypeVar
 
+from idtool.common.dataclass import dataclass
 from idtool.common.number_text import number, with_error
 from idtool.common.units import common_unit
 from idtool.reporting.number_text import percent

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from typing_extensions import override
 
+from idtool.common.dataclass import dataclass
 from idtool.common.names import join_names
 from idtool.common.units import units_text
 from idtool.reporting.number_text import interval_text, metres

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from typing_extensions import override
 
+from idtool.common.dataclass import dataclass
 from idtool.common.names import is_or_are
 from idtool.common.number_text import number, parameter_text, with_error
 from idtool.common.units import common_unit, position_units

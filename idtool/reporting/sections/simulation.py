@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from typing_extensions import override
 
+from idtool.common.dataclass import dataclass
 from idtool.common.number_text import short_number
 from idtool.common.units import units_text
 from idtool.reporting.results.base import ByJointOrNone

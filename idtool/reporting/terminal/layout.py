@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import rich.table
@@ -17,6 +16,7 @@ from rich.cells import cell_len
 from rich.console import Console, JustifyMethod
 from rich.text import Text
 
+from idtool.common.dataclass import dataclass
 from idtool.reporting.sections.base import Cell, Column, Table
 from idtool.reporting.terminal.output import EMPHASIS_STYLE, without_control_characters
 

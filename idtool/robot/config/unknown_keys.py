@@ -5,13 +5,13 @@ from __future__ import annotations
 import difflib
 import types
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, Union, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ValidationError
 
+from idtool.common.dataclass import dataclass
 from idtool.common.names import join_names, printable
 
 _SYNONYMS = {

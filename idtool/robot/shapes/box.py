@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 from typing import ClassVar
 
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.robot.inequality import REALIZABLE, Piece, density_within
 from idtool.robot.shapes.base import PosedShape, Vector, finest_grid, product_form
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import ArrayLike
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.robot.inequality import REALIZABLE, Inequality, Piece, density_within
 from idtool.robot.shapes.base import PosedShape, Vector, disc_points, finest_grid, product_form
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from typing_extensions import override
 
 from idtool.common.arrays import Array, Mask
+from idtool.common.dataclass import dataclass
 from idtool.robot.convex import enclosing_planes, enclosing_points, polyhedron_corners, principal_axes
 from idtool.robot.ellipsoid import minimum_volume_ellipsoid
 from idtool.robot.inequality import REALIZABLE, Piece, density_within

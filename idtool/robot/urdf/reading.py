@@ -11,13 +11,13 @@ import os
 import shlex
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from lxml import etree
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.common.input_files import read_error_text
 from idtool.common.provenance import InputFile, source_from_bytes

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NamedTuple
 from xml.parsers import expat
+
+from idtool.common.dataclass import dataclass
 
 _OPENING = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""")  # a > in a quoted attribute does not end the tag
 _ATTRIBUTE = re.compile(rb"""([^\s="'/<>]+)\s*=\s*("[^"]*"|'[^']*')""")

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from idtool.common.arrays import Array
+from idtool.common.dataclass import dataclass
 from idtool.robot.body import Body
 from idtool.robot.inertia import is_realizable, round_to_digits, rounded_inertial, symmetric_entries
 from idtool.robot.urdf.reading import Robot

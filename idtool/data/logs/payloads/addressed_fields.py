@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
+from idtool.common.dataclass import dataclass
 from idtool.common.names import printable
 from idtool.data.logs.payloads.base import FieldError, MessageFields
 from idtool.data.logs.payloads.message_type import Kind, MessageType

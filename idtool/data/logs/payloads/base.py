@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.names import printable
 from idtool.data.logs.sample_buffer import Samples
 from idtool.robot.message_fields import STAMP, MessageField

@@ -7,13 +7,14 @@ messages of the same layout are then decoded together.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from idtool.common.arrays import Array, Indices
+from idtool.common.dataclass import dataclass
 from idtool.common.names import count_text, printable
 from idtool.data.logs.payloads.addressed_fields import AddressedFields, find_fields
 from idtool.data.logs.payloads.base import Decoder, FieldDecoders, FieldError, MessageFields, check_names

@@ -7,12 +7,12 @@ counts, are the same in nearly all of them. Then the values are at the same offs
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from idtool.common.arrays import Array, Indices, Mask, indices_by_value, items_at, joined_runs
+from idtool.common.dataclass import dataclass
 from idtool.data.logs.payloads.base import PayloadError
 from idtool.data.logs.sample_buffer import Samples
 

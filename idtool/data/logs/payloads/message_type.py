@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass
 
+from idtool.common.dataclass import dataclass
 from idtool.common.names import printable, suggestion
 from idtool.data.logs.payloads.base import NANOSECONDS, SECONDS, STAMP_PATHS, FieldError
 from idtool.robot.message_fields import EACH, Path

@@ -5,9 +5,9 @@ Source: the ROS 2 packages sensor_msgs, geometry_msgs, nav_msgs and std_msgs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+
+from idtool.common.dataclass import dataclass
 
 _AXES = ("x", "y", "z")
 _QUATERNION = ("x", "y", "z", "w")

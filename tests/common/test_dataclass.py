@@ -1,0 +1,76 @@
+"""`idtool.common.dataclass` makes the classes that the standard library makes."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from idtool.common.dataclass import dataclass
+
+
+def make(decorate: Callable[[type], type]) -> Any:
+    class Point:
+        """A point."""
+
+        x: float
+        name: str = dataclasses.field(default="", repr=False)
+        hits: list[int] = dataclasses.field(default_factory=list, compare=False)
+
+        @property
+        def double(self) -> float:
+            return 2 * self.x
+
+    return decorate(Point)
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+@pytest.mark.parametrize("eq", [False, True])
+def test_objects_are_shown_and_compared_as_the_standard_library_does(frozen: bool, eq: bool) -> None:
+    own = make(dataclass(frozen=frozen, eq=eq))
+    standard = make(dataclasses.dataclass(frozen=frozen, eq=eq))
+    for made in (own, standard):
+        assert (made(1.0) == made(1.0, hits=[3])) is eq
+        assert made(1.0) != made(2.0)
+        assert made(1.0, "a") != made(1.0, "b")
+        assert made(1.0) != (1.0, "", [])
+        assert repr(made(1.0, hits=[3])).endswith("Point(x=1.0, hits=[3])")
+        assert made(1.0).double == 2.0
+        assert dataclasses.replace(made(1.0, "a"), x=3.0) == dataclasses.replace(made(1.0, "a"), x=3.0) or not eq
+        assert (made.__hash__ is None) == (eq and not frozen)
+    if frozen and eq:
+        assert hash(own(1.0)) == hash(own(1.0, hits=[1])) == hash(standard(1.0))
+
+
+def test_own_methods_stay() -> None:
+    @dataclass(frozen=True)
+    class Named:
+        name: str
+
+        def __eq__(self, other: object) -> bool:
+            return isinstance(other, Named) and other.name.lower() == self.name.lower()
+
+        def __hash__(self) -> int:
+            return hash(self.name.lower())
+
+        def __repr__(self) -> str:
+            return self.name
+
+    assert Named("A") == Named("a")
+    assert {Named("A"), Named("a")} == {Named("A")}
+    assert repr(Named("A")) == "A"
+
+
+def test_a_subclass_has_the_fields_of_both_and_differs_from_its_base() -> None:
+    @dataclass(frozen=True)
+    class Base:
+        x: int
+
+    @dataclass(frozen=True, kw_only=True)
+    class Derived(Base):
+        y: int
+
+    assert Derived(x=1, y=2) == Derived(x=1, y=2)
+    assert Derived(x=1, y=2) != Base(x=1)
+    with pytest.raises(TypeError):
+        Derived(1, 2)  # type: ignore[misc]
