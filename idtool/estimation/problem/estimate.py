@@ -113,6 +113,7 @@ def estimate(
     """
     equalities = equalities or EqualityConstraints.none(len(model.coefficients))
     noise = free_noise(model, reduction, equalities) if noise is None else noise
+    rows = weighted_rows(model, reduction, noise) if rows is None else rows
     problem = build_problem(model, bodies, reduction, sets, regularization, noise, equalities, rows)
     if solver == "clarabel":
         x, certificate = _solve_with_fallback(problem)
@@ -120,16 +121,9 @@ def estimate(
         x, certificate = solve_with_backend(problem, backend or _BACKEND)
     else:
         x, certificate = solve_locally(problem, solver, model.prior[equalities.free] / problem.scale)
-    return estimate_of_solution(model, reduction, problem, x, certificate)
-
-
-def estimate_of_solution(
-    model: LinearModel, reduction: Reduction, problem: Problem, x: Array, certificate: Certificate
-) -> Estimate:
-    """The estimate of a solution x, shape (m,), with the residual noise of its coefficients."""
     theta = problem.theta(problem.S @ x)
-    Y = weighted_rows(model, reduction, np.ones(len(reduction)))[:, :-1]
-    share = freedom_left(reduction, int(np.linalg.matrix_rank(Y @ problem.K)))
+    rank = int(np.linalg.matrix_rank(rows[:, :-1] @ problem.K * problem.scale))
+    share = freedom_left(reduction, rank)
     joints = zip(reduction, model.active(), strict=True)
     noise = np.array([residual_noise(factor, theta[columns], share) for factor, columns in joints])
     parameters = problem.piece_parameters(x)
