@@ -124,15 +124,16 @@ def _coarse_lag_and_band(q: Array, v: Array, dt: float) -> tuple[float, float]:
     """Lag [s] to the nearest sample, and upper edge [Hz] of the band in which q and v move together; 0: nowhere."""
     # both taken half-way between samples, so that they are in phase
     n = len(q) - 1
+    size = fast_length(n)
     window = np.hanning(n)
-    D = rfft(window * np.diff(q) / dt)
-    V = rfft(window * 0.5 * (v[1:] + v[:-1]))
+    D = rfft(window * np.diff(q) / dt, size)
+    V = rfft(window * 0.5 * (v[1:] + v[:-1]), size)
     S = np.conj(D) * V
     max_lag = int(min(_MAX_LAG / dt, n // 8))
     k = np.arange(-max_lag, max_lag + 1)
-    correlation = irfft(S, n)[k] * (1 - 0.1 * np.abs(k) / (max_lag + 1))  # the shorter lag wins a tie
+    correlation = irfft(S, size)[k] * (1 - 0.1 * np.abs(k) / (max_lag + 1))  # the shorter lag wins a tie
     lag = float(k[np.argmax(np.abs(correlation))] * dt)
-    f = rfftfreq(n, dt)
+    f = rfftfreq(size, dt)
     width = min(_SMOOTHING, len(f) // 2)
     in_phase = S * np.exp(2j * np.pi * f * lag)
     power = moving_mean(np.abs(D) ** 2, width) * moving_mean(np.abs(V) ** 2, width)

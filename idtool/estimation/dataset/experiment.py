@@ -15,6 +15,7 @@ from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.number_text import short_number
 from idtool.common.provenance import InputFile
+from idtool.common.threads import in_threads
 from idtool.data.base_sensors import POSE, BaseSensors, needed_channels, sensor_options
 from idtool.data.batches import Batches
 from idtool.data.contact_channels import ContactChannels
@@ -505,9 +506,10 @@ def prepare(
     config, notices = with_cutoff_for_logs(config, every)
     model = replace(model, notices=(*model.notices, *notices))
     shares = [0.0 if validate else holdout] * len(fitted) + [1.0] * len(validated)
+    named_logs = list(zip(every, names, strict=True))
+    of_each_log = in_threads(lambda named: signals_of(named[0], model, config, named[1]), named_logs)
     runs = []
-    for log, name, share, limits in zip(every, names, shares, beyond_limits, strict=True):
-        signals = signals_of(log, model, config, name)
+    for signals, share, limits in zip(of_each_log, shares, beyond_limits, strict=True):
         notices = [limits] if limits is not None else _signal_notices(signals, model, config)
         comparison_notices += notices
         signals.notices += notices
