@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.dataclass import dataclass
 from idtool.robot.convex import principal_axes
-from idtool.robot.rotation import rotation_from_rpy, rpy_from_rotation
+from idtool.robot.rotation import rotation_from_rpy, rotation_of_axes, rpy_from_rotation
 
 _ADDED_POINTS = 32  # farthest points beyond the ellipsoid that each iteration adds
 
@@ -124,11 +124,9 @@ def minimum_volume_ellipsoid(points: ArrayLike, tolerance: float = 1e-4, min_thi
             break
         farthest = beyond[np.argsort(distance[beyond])[-_ADDED_POINTS:]]
         core = np.concatenate([core, farthest])
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1
     # Khachiyan's algorithm stops with points just outside: grow until all are inside.
     semi_axes = np.sqrt(squares * max(distance.max(), 1.0))
-    return Ellipsoid.from_axes(mean + scale * center, scale * semi_axes, axes)
+    return Ellipsoid.from_axes(mean + scale * center, scale * semi_axes, rotation_of_axes(axes))
 
 
 def _thicken(points: Array, min_thickness: float) -> Array:

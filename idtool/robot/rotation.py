@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -14,6 +15,7 @@ from idtool.common.arrays import Array
 from idtool.robot.inertia import skew
 
 _GIMBAL_LOCK = 1e-9  # cosine of the pitch, below which roll and yaw turn about the same axis
+_TRACE_DIGITS = 6  # to which the traces of rotations are equal
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
@@ -38,6 +40,27 @@ def rpy_from_rotation(R: Array) -> Array:
     _, y_axis, _ = rotation_from_rpy([0.0, 0.0, yaw]).T @ R  # what is left when yaw is undone: pitch after roll
     roll = math.atan2(-y_axis[2], y_axis[1])
     return np.array([roll, pitch, yaw]) + 0.0  # no negative zeros
+
+
+def rotation_of_axes(axes: Array) -> Array:
+    """Rotation matrix whose columns are given axes but for their signs; both of shape (3, 3).
+
+    Eigenvectors have any sign, which rounding may turn. Here the rotation is the one by the smallest angle; of several,
+    the first axes point in the direction of their largest components.
+
+    Parameters
+    ----------
+    axes
+        Orthonormal columns.
+    """
+    largest = axes[np.abs(axes).argmax(axis=0), range(3)]
+    handedness = np.sign(np.linalg.det(axes))
+    candidates = []
+    for first, second in itertools.product((1.0, -1.0), repeat=2):
+        signs = np.array([first, second, first * second * handedness])
+        R = axes * signs
+        candidates.append((round(float(np.trace(R)), _TRACE_DIGITS), (largest * signs > 0).tolist(), R))
+    return np.asarray(max(candidates, key=lambda candidate: candidate[:2])[2])
 
 
 def rotation_about(axis: Array, angle: ArrayLike) -> Array:

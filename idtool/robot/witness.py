@@ -17,6 +17,7 @@ from idtool.common.number_text import short_number
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inequality import REALIZABLE, Inequality
 from idtool.robot.inertia import J_BASIS, from_pseudo_inertia, mass_com_inertia, pseudo_inertia
+from idtool.robot.rotation import rotation_of_axes
 
 _TOLERANCE = 1e-9  # of the body's own spread, and of its ellipsoid
 _ROUNDING = 16 * np.finfo(float).eps  # of moments about the origin, in those about the centre of mass
@@ -99,7 +100,7 @@ class _MassDistribution:
         rounding = _ROUNDING * (com @ com + np.abs(pi[4:]).max() / mass)
         mu = np.where(np.abs(mu) <= rounding, 0.0, mu)
         error = float(_TOLERANCE * np.abs(mu).max() + rounding)
-        return cls(mass, com, mu, axes, error)
+        return cls(mass, com, mu, rotation_of_axes(axes), error)
 
 
 def find_witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
@@ -141,6 +142,7 @@ def find_witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
     L[:3, 3] = to_ball @ (body.com - ellipsoid.center)
     Q_ball = np.diag([-1.0, -1.0, -1.0, 1.0])
     V = np.linalg.eigh(L.T @ Q_ball @ L)[1]
+    V *= np.sign(V[np.abs(V).argmax(axis=0), range(4)])  # rounding may turn an eigenvector round
     Z = L @ V @ _HADAMARD / 2
     is_massless = Z[3] ** 2 <= _MIN_POINT_MASS
     u = np.where(is_massless, L[:3, 3:], Z[:3] / np.where(is_massless, 1.0, Z[3]))  # points in the unit ball, (3, 4)
@@ -252,8 +254,7 @@ def deviation_ellipsoid(pi: ArrayLike) -> Ellipsoid:
     body = _MassDistribution.from_parameters(pi)
     semi_axes = np.sqrt(np.maximum(body.mu, 0))
     shortest = max(_MIN_AXIS_RATIO * semi_axes.max(), _MIN_SEMI_AXIS)
-    R = body.axes * np.sign(np.linalg.det(body.axes))
-    return Ellipsoid.from_axes(body.com, np.maximum(semi_axes, shortest), R)
+    return Ellipsoid.from_axes(body.com, np.maximum(semi_axes, shortest), body.axes)
 
 
 def _principal_moment_reasons(body: _MassDistribution) -> list[str]:

@@ -331,6 +331,19 @@ def test_the_deviation_ellipsoid_moves_with_its_body(rng: np.random.Generator) -
     np.testing.assert_allclose(moved.Q_s, R @ E.Q_s @ R.T, atol=1e-9)
 
 
+@given(seeds)
+def test_rounding_of_the_parameters_does_not_turn_axes_or_exchange_points(rng: np.random.Generator) -> None:
+    """Masses are mirror images of each other in two planes, as those of most links."""
+    octant = rng.uniform([0.1, 0.5, 1.0], [0.4, 0.8, 1.5], (4, 3))
+    places = np.concatenate([octant * mirror for mirror in ((1, 1, 1), (-1, 1, 1), (1, -1, 1), (-1, -1, 1))])
+    pi = point_parameters(np.tile(rng.uniform(0.1, 1, 4), 4), places)
+    S = Ellipsoid((0.1, 0.2, 0.9), (3.0, 4.0, 5.0))
+    for _ in range(5):
+        nearly = pi * (1 + 1e-13 * rng.normal(size=10)) + 1e-13 * rng.normal(size=10)
+        np.testing.assert_allclose(deviation_ellipsoid(nearly).rpy, deviation_ellipsoid(pi).rpy, atol=1e-8)
+        np.testing.assert_allclose(find_witness(nearly, S).points, find_witness(pi, S).points, atol=1e-6)
+
+
 def test_a_solid_ellipsoid_deviates_by_a_fifth_of_its_squared_semi_axes() -> None:
     a = np.array([0.3, 0.2, 0.1])
     square = a**2
