@@ -122,7 +122,7 @@ def estimate(
     else:
         x, certificate = solve_locally(problem, solver, model.prior[equalities.free] / problem.scale)
     theta = problem.theta(problem.S @ x)
-    rank = int(np.linalg.matrix_rank(rows[:, :-1] @ problem.K * problem.scale))
+    rank = int(np.linalg.matrix_rank(rows[:, :-1] @ problem.K))
     share = freedom_left(reduction, rank)
     joints = zip(reduction, model.active(), strict=True)
     noise = np.array([residual_noise(factor, theta[columns], share) for factor, columns in joints])
