@@ -37,7 +37,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from functools import cache, partial
 from multiprocessing import Pool
 from pathlib import Path
@@ -57,6 +57,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 import leg_truth
 
 import idtool
+from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError, SolverError
 from idtool.data.logs import JointLog, read_log
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
@@ -137,7 +138,7 @@ class Outcome:
     number: float | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ReducedExperiment(Experiment):
     """An experiment whose logs are reduced only once, however often it is fitted.
 
@@ -157,7 +158,9 @@ class ReducedExperiment(Experiment):
         """Reduce the logs of an experiment."""
         blocks = e.reduce_in_blocks(silent)
         validation = tuple(held_out(replace(e, runs=(run,)), silent) for run in e.runs if run.held_out)
-        return ReducedExperiment(e.config, e.model, e.equation, e.equalities, e.runs, blocks, validation)
+        return ReducedExperiment(
+            e.config, e.model, e.equation, e.equalities, e.runs, training=blocks, validation=validation
+        )
 
     def blocks(self, rows: Callable[[Run], Rows], progress: Progress, stage: str = "reading") -> tuple[Blocks, ...]:
         """The training data."""

@@ -13,6 +13,8 @@ from idtool.common.arrays import Array, Indices
 
 _TRIANGLE_BLOCK = 32  # columns that tpqrt eliminates together
 _MAX_ROWS_PER_COLUMN = 4  # above which rows are replaced by their triangular factor
+_EQUAL = 1e-10  # of the largest eigenvalue, by which equal ones may differ
+_TIE = 1e-6  # relative difference of squared cosines that are equal but for rounding
 _RANK = 1e-9  # ratio to the largest singular value, up to which one counts as 0
 
 
@@ -166,6 +168,35 @@ def compressed_rows(parts: Sequence[tuple[Array, Indices]], width: int) -> Array
     for part in reversed(parts):
         append_rows(R, on_all_columns(*part))
     return np.ascontiguousarray(R)
+
+
+def reproducible_eigh(matrix: Array) -> tuple[Array, Array]:
+    """Eigenvalues of a symmetric matrix, ascending, and eigenvectors that rounding does not exchange, turn or mirror.
+
+    Eigenvectors may have any sign, and those of equal eigenvalues may be any basis of their space. Here each is the
+    projection of a unit vector on what is left of that space: of the unit vector that is nearest to it.
+
+    Parameters
+    ----------
+    matrix
+        Shape (n, n).
+
+    Returns
+    -------
+    Eigenvalues, shape (n,), and orthonormal eigenvectors as columns, shape (n, n).
+    """
+    values, vectors = np.linalg.eigh(matrix)
+    is_new = np.diff(values) > _EQUAL * np.abs(values).max(initial=0.0)
+    chosen = []
+    for basis in np.split(vectors, 1 + np.flatnonzero(is_new), axis=1):
+        projector = basis @ basis.T
+        for _ in range(basis.shape[1]):
+            nearness = np.diagonal(projector)
+            nearest = int(np.argmax(nearness > (1 - _TIE) * nearness.max()))  # the first of those that are as near
+            eigenvector = projector[:, nearest] / np.sqrt(nearness[nearest])
+            projector = projector - np.outer(eigenvector, eigenvector)
+            chosen.append(eigenvector)
+    return values, np.column_stack(chosen)
 
 
 def null_space(matrix: ArrayLike) -> Array:

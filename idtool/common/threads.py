@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial, wraps
-from threading import Event
+from threading import Event, local
 from types import TracebackType
 from typing import Generic, NoReturn, ParamSpec, TypeVar
 
@@ -24,6 +24,8 @@ P = ParamSpec("P")
 
 _LEAST_WORK = 1 << 20  # entries of all items together, for which threads are worth their start
 _MAX_WAITING = 64  # jobs evaluated in advance, however small
+
+_this_thread = local()  # is_worker: true in the threads of `in_threads`
 
 
 def with_single_threaded_blas(function: Callable[P, Result]) -> Callable[P, Result]:
@@ -46,6 +48,8 @@ def with_single_threaded_blas(function: Callable[P, Result]) -> Callable[P, Resu
 def in_threads(evaluate: Callable[[Item], Result], items: Sequence[Item], work: float = _LEAST_WORK) -> list[Result]:
     """Result of each item, in their order, evaluated in as many threads as processes may work at once.
 
+    Within one of these threads there is only one: else their number would be the square of that of the cores.
+
     Parameters
     ----------
     evaluate
@@ -56,11 +60,15 @@ def in_threads(evaluate: Callable[[Item], Result], items: Sequence[Item], work: 
         Number of entries of all matrices together; if they are few, there is one thread.
     """
     count = min(process_count(), len(items))
-    if count < 2 or work < _LEAST_WORK:
+    if count < 2 or work < _LEAST_WORK or getattr(_this_thread, "is_worker", False):
         return [evaluate(item) for item in items]
     share_freed_memory()
-    with ThreadPoolExecutor(count) as pool:
+    with ThreadPoolExecutor(count, initializer=_mark_as_worker) as pool:
         return list(pool.map(evaluate, items))
+
+
+def _mark_as_worker() -> None:
+    _this_thread.is_worker = True
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from idtool.common.arrays import Array
 from idtool.robot.inertia import skew
 
 _GIMBAL_LOCK = 1e-9  # cosine of the pitch, below which roll and yaw turn about the same axis
-_TRACE_DIGITS = 6  # to which the traces of rotations are equal
+_TRACE_DIGITS = 6  # decimals, to which the traces of rotations by the same angle agree
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
@@ -43,24 +43,20 @@ def rpy_from_rotation(R: Array) -> Array:
 
 
 def rotation_of_axes(axes: Array) -> Array:
-    """Rotation matrix whose columns are given axes but for their signs; both of shape (3, 3).
+    """Rotation matrix by the smallest angle whose columns are given axes, or their opposites; both of shape (3, 3).
 
-    Eigenvectors have any sign, which rounding may turn. Here the rotation is the one by the smallest angle; of several,
-    the first axes point in the direction of their largest components.
+    Of several with this angle, the first axis keeps its sign, then the second.
 
     Parameters
     ----------
     axes
         Orthonormal columns.
     """
-    largest = axes[np.abs(axes).argmax(axis=0), range(3)]
     handedness = np.sign(np.linalg.det(axes))
-    candidates = []
-    for first, second in itertools.product((1.0, -1.0), repeat=2):
-        signs = np.array([first, second, first * second * handedness])
-        R = axes * signs
-        candidates.append((round(float(np.trace(R)), _TRACE_DIGITS), (largest * signs > 0).tolist(), R))
-    return np.asarray(max(candidates, key=lambda candidate: candidate[:2])[2])
+    cosines = np.diagonal(axes)
+    candidates = np.array([[s, t, s * t * handedness] for s, t in itertools.product((1.0, -1.0), repeat=2)])
+    traces = np.round(candidates @ cosines, _TRACE_DIGITS)
+    return np.asarray(axes * candidates[traces.argmax()])
 
 
 def rotation_about(axis: Array, angle: ArrayLike) -> Array:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array
 from idtool.common.dataclass import dataclass
+from idtool.common.linear_algebra import reproducible_eigh
 from idtool.common.number_text import short_number
 from idtool.robot.ellipsoid import Ellipsoid
 from idtool.robot.inequality import REALIZABLE, Inequality
@@ -96,11 +97,11 @@ class _MassDistribution:
     def from_parameters(cls, pi: Array) -> _MassDistribution:
         mass, com, inertia = mass_com_inertia(pi)
         Sigma_C = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-        mu, axes = np.linalg.eigh(Sigma_C / mass)
+        mu, axes = reproducible_eigh(Sigma_C / mass)
         rounding = _ROUNDING * (com @ com + np.abs(pi[4:]).max() / mass)
         mu = np.where(np.abs(mu) <= rounding, 0.0, mu)
         error = float(_TOLERANCE * np.abs(mu).max() + rounding)
-        return cls(mass, com, mu, rotation_of_axes(axes), error)
+        return cls(mass, com, mu, axes, error)
 
 
 def find_witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
@@ -141,8 +142,7 @@ def find_witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
     L[:3, :3] = to_ball @ body.axes * np.sqrt(np.maximum(body.mu, 0))
     L[:3, 3] = to_ball @ (body.com - ellipsoid.center)
     Q_ball = np.diag([-1.0, -1.0, -1.0, 1.0])
-    V = np.linalg.eigh(L.T @ Q_ball @ L)[1]
-    V *= np.sign(V[np.abs(V).argmax(axis=0), range(4)])  # rounding may turn an eigenvector round
+    _, V = reproducible_eigh(L.T @ Q_ball @ L)
     Z = L @ V @ _HADAMARD / 2
     is_massless = Z[3] ** 2 <= _MIN_POINT_MASS
     u = np.where(is_massless, L[:3, 3:], Z[:3] / np.where(is_massless, 1.0, Z[3]))  # points in the unit ball, (3, 4)
@@ -254,7 +254,7 @@ def deviation_ellipsoid(pi: ArrayLike) -> Ellipsoid:
     body = _MassDistribution.from_parameters(pi)
     semi_axes = np.sqrt(np.maximum(body.mu, 0))
     shortest = max(_MIN_AXIS_RATIO * semi_axes.max(), _MIN_SEMI_AXIS)
-    return Ellipsoid.from_axes(body.com, np.maximum(semi_axes, shortest), body.axes)
+    return Ellipsoid.from_axes(body.com, np.maximum(semi_axes, shortest), rotation_of_axes(body.axes))
 
 
 def _principal_moment_reasons(body: _MassDistribution) -> list[str]:

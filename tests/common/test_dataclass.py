@@ -1,6 +1,8 @@
-"""`idtool.common.dataclass` makes the classes that the standard library makes."""
+"""Objects of `idtool.common.dataclass` are shown, compared and hashed as those of the standard library."""
 
+import copy
 import dataclasses
+import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -74,3 +76,44 @@ def test_a_subclass_has_the_fields_of_both_and_differs_from_its_base() -> None:
     assert Derived(x=1, y=2) != Base(x=1)
     with pytest.raises(TypeError):
         Derived(1, 2)  # type: ignore[misc]
+
+
+@dataclass(frozen=True)
+class Pair:
+    first: int
+    second: list[int] = dataclasses.field(default_factory=list, hash=False)
+
+
+def test_objects_are_copied_and_pickled() -> None:
+    pair = Pair(1, [2])
+    for other in (copy.copy(pair), copy.deepcopy(pair), pickle.loads(pickle.dumps(pair))):  # noqa: S301
+        assert other == pair
+        assert other is not pair
+
+
+def test_fields_without_hash_may_be_unhashable() -> None:
+    assert hash(Pair(1, [2])) == hash(Pair(1, [3]))
+
+
+def test_an_object_that_holds_itself_is_shown() -> None:
+    @dataclass()
+    class Node:
+        others: list[Any]
+
+    node = Node([])
+    node.others.append(node)
+    assert repr(node).endswith("Node(others=[...])")
+
+
+@pytest.mark.parametrize("decorator", [dataclass, dataclasses.dataclass])
+def test_a_subclass_that_is_not_compared_by_its_fields_is_compared_by_those_of_its_base(decorator: Any) -> None:
+    @decorator()
+    class Base:
+        x: int
+
+    @decorator(eq=False)
+    class Derived(Base):
+        y: int
+
+    assert Derived(1, 2) == Derived(1, 3)
+    assert Derived(1, 2) != Derived(2, 2)

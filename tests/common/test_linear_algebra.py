@@ -14,6 +14,7 @@ from idtool.common.linear_algebra import (
     least_squares,
     nonnegative_least_squares,
     null_space,
+    reproducible_eigh,
     right_svd,
     svd,
 )
@@ -136,3 +137,24 @@ def test_nonnegative_least_squares_is_that_of_scipy(rng: np.random.Generator, bi
     assert (x == 0).sum() == 1 + binds
     np.testing.assert_allclose(x, expected, rtol=1e-9, atol=1e-12)
     assert rest == pytest.approx(expected_rest)
+
+
+@pytest.mark.parametrize(
+    "values", [(1.0, 2.0, 3.0, 4.0), (1.0, 1.0, 2.0, 2.0), (0.0, 1.0, 1.0, 1.0), (5.0,) * 4, (0.0,) * 4]
+)
+def test_reproducible_eigenvectors_solve_the_problem_and_keep_to_it(
+    values: tuple[float, ...], rng: np.random.Generator
+) -> None:
+    """Even where eigenvalues are equal, rounding changes no vector; those of the unit matrix are the unit vectors."""
+    for _ in range(20):
+        Q, _ = np.linalg.qr(rng.normal(size=(4, 4)))
+        A = Q * values @ Q.T
+        found, V = reproducible_eigh(A)
+        np.testing.assert_allclose(found, values, atol=1e-12)
+        np.testing.assert_allclose(V.T @ V, np.eye(4), atol=1e-12)
+        np.testing.assert_allclose(V * found @ V.T, A, atol=1e-9)
+        noise = 1e-14 * rng.normal(size=(4, 4))
+        _, nearly = reproducible_eigh(A + max(values) * (noise + noise.T))
+        np.testing.assert_allclose(nearly, V, atol=1e-7)
+    if len(set(values)) == 1:
+        np.testing.assert_allclose(V, np.eye(4), atol=1e-12)

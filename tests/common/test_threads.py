@@ -37,6 +37,15 @@ def test_only_much_work_is_shared(work: float, at_once: bool) -> None:
     assert in_threads(meets, range(2), work) == [at_once, at_once]
 
 
+def test_threads_have_no_threads_of_their_own_and_later_calls_have() -> None:
+    def names(item: int) -> set[str]:
+        return set(in_threads(lambda inner: threading.current_thread().name, range(8), 1e9))
+
+    for of_item in in_threads(names, range(4), 1e9):
+        assert len(of_item) == 1
+    assert threading.current_thread().name not in names(0)
+
+
 def test_an_error_is_raised_here() -> None:
     with pytest.raises(ZeroDivisionError):
         in_threads(lambda item: 1 / item, [1, 0], 1e9)

@@ -280,6 +280,34 @@ def test_a_rollout_that_runs_away_is_stopped_and_told(robot_of: ReadRobot, speed
         np.testing.assert_allclose(found.q[0, w], exact(t[part], tau[part], 0.0, 0.0)[0], rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("most", [1, 3, 1000])
+def test_samples_are_the_same_however_many_steps_are_recorded_together(
+    robot_of: ReadRobot, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With friction, whose changes cut steps, and with a rollout that diverges while others' steps wait."""
+    t = clock(2100, 1000)
+    tau = force(t)
+    tau[1300:1310] = 3e5 * M
+    signals = signals_of(log_of(t, q=0.02 * np.sin(7 * t), tau=tau))
+    machine = mechanism(robot_of(sliders(M)), {"friction": friction(["x1"], [B], [1.0]), "effects": [SPRING]})
+    windows = [slice(0, 1000), slice(1000, 2000), slice(1400, 2010), slice(2000, 2002)]
+    (usual,) = run(machine, signals, windows)
+    assert usual.diverged.tolist() == [False, True, False, False]
+    monkeypatch.setattr(simulation, "_MAX_STEPS", most)
+    monkeypatch.setattr(simulation, "_SAMPLES_AT_ONCE", 100 * most)
+    shares: list[float] = []
+    (found,) = simulate(machine, [Window(signals, part) for part in windows], shares.append)
+    assert found.diverged.tolist() == usual.diverged.tolist()
+    for w, window in enumerate(windows):
+        for name in ("q", "v", "tau"):
+            own = getattr(found, name)[:, w, : window.stop - window.start]
+            expected = getattr(usual, name)[:, w, : window.stop - window.start]
+            np.testing.assert_allclose(own, expected, rtol=0, atol=1e-12, equal_nan=False)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1
+    assert len(shares) > 500 / most
+
+
 @pytest.mark.parametrize(("measured", "diverges"), [(30.0, False), (10.0, True)])  # m/s
 def test_what_moves_fast_in_the_log_may_be_faster(robot_of: ReadRobot, measured: float, diverges: bool) -> None:
     """Than 1,000 m/s: up to 100 times as fast as it was measured, in its own window."""

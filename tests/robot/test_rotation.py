@@ -55,13 +55,17 @@ def test_axes_of_any_sign_have_one_rotation_and_no_other_turns_less(rng: np.rand
             np.testing.assert_allclose(rotation_of_axes(axes * s), R)
 
 
-@pytest.mark.parametrize("order", list(itertools.permutations(range(3))))
-def test_rounding_does_not_turn_axes_along_those_of_the_frame(order: tuple[int, ...], rng: np.random.Generator) -> None:
-    exact = np.eye(3)[:, order]
-    angles = rpy_from_rotation(rotation_of_axes(exact))
-    for s in signs():
-        nearly = Rotation.from_rotvec(1e-13 * rng.normal(size=3)).as_matrix() @ exact
-        np.testing.assert_allclose(rpy_from_rotation(rotation_of_axes(nearly * s)), angles, atol=1e-9)
+def test_axes_along_those_of_the_frame_are_turned_by_the_smallest_angle_and_the_first_keep_their_signs() -> None:
+    for order in itertools.permutations(range(3)):
+        for s in signs():
+            axes = np.eye(3)[:, order] * s
+            R = rotation_of_axes(axes)
+            even = [np.eye(3)[:, order] * t for t in signs() if np.linalg.det(np.eye(3)[:, order] * t) > 0]
+            least = min(Rotation.from_matrix(even).magnitude())
+            as_near = [other for other in even if Rotation.from_matrix(other).magnitude() < least + 1e-9]
+            assert Rotation.from_matrix(R).magnitude() == pytest.approx(least)
+            kept = [[(axes[:, k] == other[:, k]).all() for k in range(3)] for other in as_near]
+            assert [(axes[:, k] == R[:, k]).all() for k in range(3)] == max(kept)
 
 
 def test_rotation_about_an_axis(rng: np.random.Generator) -> None:

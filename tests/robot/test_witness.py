@@ -8,6 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from robots import rotation
+from scipy.spatial.transform import Rotation
 from synthetic import point_parameters, points_in
 
 from idtool.robot.ellipsoid import Ellipsoid
@@ -331,17 +332,31 @@ def test_the_deviation_ellipsoid_moves_with_its_body(rng: np.random.Generator) -
     np.testing.assert_allclose(moved.Q_s, R @ E.Q_s @ R.T, atol=1e-9)
 
 
-@given(seeds)
-def test_rounding_of_the_parameters_does_not_turn_axes_or_exchange_points(rng: np.random.Generator) -> None:
-    """Masses are mirror images of each other in two planes, as those of most links."""
-    octant = rng.uniform([0.1, 0.5, 1.0], [0.4, 0.8, 1.5], (4, 3))
-    places = np.concatenate([octant * mirror for mirror in ((1, 1, 1), (-1, 1, 1), (1, -1, 1), (-1, -1, 1))])
-    pi = point_parameters(np.tile(rng.uniform(0.1, 1, 4), 4), places)
-    S = Ellipsoid((0.1, 0.2, 0.9), (3.0, 4.0, 5.0))
-    for _ in range(5):
-        nearly = pi * (1 + 1e-13 * rng.normal(size=10)) + 1e-13 * rng.normal(size=10)
+def box(size: tuple[float, float, float], R: Array, com: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Array:
+    """Parameters of a uniform box, or of all bodies with its moments, as a cylinder has those of a square column."""
+    squares = np.square(size) / 12
+    return from_mass_com_inertia(2.0, com, R @ np.diag(2.0 * (squares.sum() - squares)) @ R.T)
+
+
+ALONG = np.eye(3)
+AT_45 = Rotation.from_euler("x", -45, degrees=True).as_matrix()
+
+
+@pytest.mark.parametrize("com", [(0.0, 0.0, 0.0), (0.02, -0.01, 0.1)])
+@pytest.mark.parametrize("R", [ALONG, ALONG[:, [1, 2, 0]], ALONG[:, [1, 0, 2]], AT_45, AT_45[:, [1, 2, 0]]])
+@pytest.mark.parametrize("size", [(0.1, 0.2, 0.4), (0.1, 0.1, 0.4), (0.3, 0.3, 0.1), (0.2, 0.2, 0.2)])
+def test_rounding_does_not_turn_axes_or_exchange_points(
+    size: tuple[float, float, float], R: Array, com: tuple[float, float, float], rng: np.random.Generator
+) -> None:
+    """Boxes, square columns and plates, and a cube, in their ellipsoid of minimum volume and in another one."""
+    pi = box(size, R, com)
+    own = Ellipsoid.from_axes(com, np.multiply(np.sqrt(3) / 2, size), R * np.sign(np.linalg.det(R)))
+    other = Ellipsoid((0.01, 0.02, 0.05), (0.6, 0.5, 0.7))
+    for _ in range(10):
+        nearly = pi + 1e-13 * np.abs(pi).max() * rng.normal(size=10)
         np.testing.assert_allclose(deviation_ellipsoid(nearly).rpy, deviation_ellipsoid(pi).rpy, atol=1e-8)
-        np.testing.assert_allclose(find_witness(nearly, S).points, find_witness(pi, S).points, atol=1e-6)
+        for S in (own, other, None):
+            np.testing.assert_allclose(find_witness(nearly, S).points, find_witness(pi, S).points, atol=1e-6)
 
 
 def test_a_solid_ellipsoid_deviates_by_a_fifth_of_its_squared_semi_axes() -> None:

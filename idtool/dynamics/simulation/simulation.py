@@ -33,7 +33,9 @@ _MAX_ARRAY_ELEMENTS = 1 << 22  # of one signal of theirs, padded to the longest
 _PIECE_DURATION = 1.0  # s
 _EXPECTED_PASSES = 3  # over the pieces of a window, until each begins where the one before it ends
 _SAMPLE_TOLERANCE = 1e-6  # of a sample
-_STEPS_AT_ONCE = 64  # whose samples are recorded together
+_MAX_STEPS = 64  # whose samples are recorded together
+_MAX_STEP_ELEMENTS = 1 << 20  # of the motion at their ends
+_SAMPLES_AT_ONCE = 1 << 16  # of a window, whose torque is evaluated together
 _MAX_JUMP = 1e-7  # SI: between the end of a piece and the start of the next
 _MAX_PARALLEL_PASSES = 5  # over all pieces together, before they are done one by one
 # A rollout has diverged if it is faster than both:
@@ -254,7 +256,9 @@ class _Run:
         self._q = np.zeros(shape)
         self._v = np.zeros(shape)
         self._diverged = np.zeros(len(windows), dtype=bool)
-        self._steps: list[_Step] = []  # whose samples are still to be recorded
+        self._steps: list[_Steps] = []  # whose samples are still to be recorded
+        step_elements = 2 * 3 * self.rollouts.q.size  # position, velocity and acceleration at both ends
+        self._most_steps = min(_MAX_STEPS, max(_MAX_STEP_ELEMENTS // step_elements, 1))
 
     def restart(self, rollout_ids: Indices, state_vector: Array) -> None:
         """Restart some rollouts from states, shape (states, w)."""
@@ -273,10 +277,10 @@ class _Run:
 
         def on_step(stepped_ids: Indices, start: RolloutState, end: RolloutState) -> None:
             times = start.t.copy(), end.t.copy()  # the state that a step ends with changes with later steps
-            self._steps.append(_Step(stepped_ids, *times, start.motion, end.motion))
+            self._steps.append(_Steps(stepped_ids, *times, start.motion, end.motion))
             fastest = np.abs(end.v).max(axis=0)
             diverged_ids = stepped_ids[~(fastest < self._max_speed[stepped_ids])]  # NaN has diverged, too
-            if diverged_ids.size or len(self._steps) == _STEPS_AT_ONCE:
+            if diverged_ids.size or len(self._steps) >= self._most_steps:
                 self._record_samples()
                 elapsed = (rollouts.t - self._t0)[stepped_ids]
                 report(float(np.min(elapsed / durations[stepped_ids])))
@@ -323,17 +327,20 @@ class _Run:
     def result(self) -> SimulatedWindows:
         """Motion and torque as sensors would give them."""
         tau = np.empty_like(self._q)
-        samples = np.arange(tau.shape[2])
-        for w, (start_time, dt, last) in enumerate(zip(self._t0, self._dt, self._last, strict=True)):
-            t = start_time + np.minimum(samples, last) * dt
-            rollout_ids = np.full(len(t), w)
-            tau[:, w] = self._input_torque.measured_torque(t, self._q[:, w], self._v[:, w], rollout_ids)
+        for w, last in enumerate(self._last):
+            for first in range(0, tau.shape[2], _SAMPLES_AT_ONCE):
+                part = slice(first, first + _SAMPLES_AT_ONCE)
+                q, v = self._q[:, w, part], self._v[:, w, part]
+                samples = np.minimum(first + np.arange(q.shape[1]), last)
+                t = self._t0[w] + samples * self._dt[w]
+                rollout_ids = np.full(len(t), w)
+                tau[:, w, part] = self._input_torque.measured_torque(t, q, v, rollout_ids)
         return SimulatedWindows(self._windows, self._q, self._v, tau, self._diverged)
 
 
 @dataclass(frozen=True)
-class _Step:
-    """A step of w rollouts, or several ones side by side.
+class _Steps:
+    """Steps of rollouts, w in all, side by side.
 
     Attributes
     ----------
@@ -352,9 +359,9 @@ class _Step:
     end_motion: Array
 
 
-def _joined(steps: Sequence[_Step]) -> _Step:
+def _joined(steps: Sequence[_Steps]) -> _Steps:
     """Steps side by side."""
-    return _Step(
+    return _Steps(
         rollout_ids=np.concatenate([step.rollout_ids for step in steps]),
         start_time=np.concatenate([step.start_time for step in steps]),
         end_time=np.concatenate([step.end_time for step in steps]),

@@ -506,10 +506,15 @@ def prepare(
     config, notices = with_cutoff_for_logs(config, every)
     model = replace(model, notices=(*model.notices, *notices))
     shares = [0.0 if validate else holdout] * len(fitted) + [1.0] * len(validated)
-    named_logs = list(zip(every, names, strict=True))
-    of_each_log = in_threads(lambda named: signals_of(named[0], model, config, named[1]), named_logs)
+
+    def signals_of_named(log_and_name: tuple[JointLog, str]) -> Signals:
+        log, name = log_and_name
+        return signals_of(log, model, config, name)
+
+    values = sum(log.signals["q"].size for log in every)
+    signals_by_log = in_threads(signals_of_named, list(zip(every, names, strict=True)), values)
     runs = []
-    for signals, share, limits in zip(of_each_log, shares, beyond_limits, strict=True):
+    for signals, share, limits in zip(signals_by_log, shares, beyond_limits, strict=True):
         notices = [limits] if limits is not None else _signal_notices(signals, model, config)
         comparison_notices += notices
         signals.notices += notices

@@ -104,7 +104,7 @@ def estimate(
     backend
         The solver that cvxpy takes; default: Clarabel.
     rows
-        The `weighted_rows`, if they are known.
+        The `weighted_rows` at that noise, if they are known.
 
     Raises
     ------
