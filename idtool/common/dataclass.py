@@ -1,10 +1,10 @@
 """`dataclass`, like that of the standard library, but made several times as fast.
 
-The standard one compiles up to six methods of each class, when its module is imported. With hundreds of classes, that
+The standard one compiles up to six methods of each class when its module is imported. With hundreds of classes, that
 was a fifth of the time of a short fit. Here only ``__init__`` is compiled.
 
-Objects of a frozen class can be hashed. That they do not change is left to the type checker. A frozen class of the
-standard library cannot derive from one that is made here.
+Objects of a frozen class can be hashed; that they do not change is left to the type checker. Other options of the
+standard one are refused. A frozen class of the standard library cannot derive from one that is made here.
 """
 
 from __future__ import annotations
@@ -43,18 +43,19 @@ if not TYPE_CHECKING:
         def decorate(cls: Class) -> Class:
             if cls.__doc__ is None:
                 cls.__doc__ = cls.__name__  # else the standard library makes a signature for it, which takes long
-            made = dataclasses.dataclass(eq=False, repr=False, kw_only=kw_only)(cls)
-            fields = dataclasses.fields(made)
+            dataclasses.dataclass(eq=False, repr=False, kw_only=kw_only)(cls)
+            fields = dataclasses.fields(cls)
             compared = [field.name for field in fields if field.compare]
             hashed = [field.name for field in fields if (field.compare if field.hash is None else field.hash)]
-            defined = {name for name, value in vars(made).items() if value is not None}
+            # None: Python's own mark of a class that defines __eq__ alone
+            defined = {name for name, value in vars(cls).items() if value is not None}
             if repr and "__repr__" not in defined:
-                made.__repr__ = _repr_of([field.name for field in fields if field.repr])
+                cls.__repr__ = _repr_of([field.name for field in fields if field.repr])
             if eq and "__hash__" not in defined:
-                made.__hash__ = _hash_of(hashed) if frozen else None
+                cls.__hash__ = _hash_of(hashed) if frozen else None
             if eq and "__eq__" not in defined:
-                made.__eq__ = _equality_of(compared)
-            return made
+                cls.__eq__ = _equality_of(compared)
+            return cls
 
         return decorate if cls is None else decorate(cls)
 

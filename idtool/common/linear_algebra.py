@@ -13,7 +13,7 @@ from idtool.common.arrays import Array, Indices
 
 _TRIANGLE_BLOCK = 32  # columns that tpqrt eliminates together
 _MAX_ROWS_PER_COLUMN = 4  # above which rows are replaced by their triangular factor
-_EQUAL = 1e-10  # of the largest eigenvalue, by which equal ones may differ
+_EQUAL_GAP = 1e-10  # of the largest eigenvalue, by which equal ones may differ
 _TIE = 1e-6  # relative difference of squared cosines that are equal but for rounding
 _RANK = 1e-9  # ratio to the largest singular value, up to which one counts as 0
 
@@ -173,8 +173,9 @@ def compressed_rows(parts: Sequence[tuple[Array, Indices]], width: int) -> Array
 def reproducible_eigh(matrix: Array) -> tuple[Array, Array]:
     """Eigenvalues of a symmetric matrix, ascending, and eigenvectors that rounding does not exchange, turn or mirror.
 
-    Eigenvectors may have any sign, and those of equal eigenvalues may be any basis of their space. Here each is the
-    projection of a unit vector on what is left of that space: of the unit vector that is nearest to it.
+    Eigenvectors may have either sign, and those of equal eigenvalues may be any basis of their space. Here the
+    coordinate axis that is nearest to this space, the first of several, is projected on it and gives an eigenvector;
+    then so on in what is left of the space.
 
     Parameters
     ----------
@@ -186,14 +187,15 @@ def reproducible_eigh(matrix: Array) -> tuple[Array, Array]:
     Eigenvalues, shape (n,), and orthonormal eigenvectors as columns, shape (n, n).
     """
     values, vectors = np.linalg.eigh(matrix)
-    is_new = np.diff(values) > _EQUAL * np.abs(values).max(initial=0.0)
+    is_new = np.diff(values) > _EQUAL_GAP * np.abs(values).max()
     chosen = []
     for basis in np.split(vectors, 1 + np.flatnonzero(is_new), axis=1):
         projector = basis @ basis.T
         for _ in range(basis.shape[1]):
-            nearness = np.diagonal(projector)
-            nearest = int(np.argmax(nearness > (1 - _TIE) * nearness.max()))  # the first of those that are as near
-            eigenvector = projector[:, nearest] / np.sqrt(nearness[nearest])
+            squared_cosines = np.diagonal(projector)  # of the angles between the coordinate axes and the space
+            is_nearest = squared_cosines > (1 - _TIE) * squared_cosines.max()
+            nearest = int(np.argmax(is_nearest))
+            eigenvector = projector[:, nearest] / np.sqrt(squared_cosines[nearest])
             projector = projector - np.outer(eigenvector, eigenvector)
             chosen.append(eigenvector)
     return values, np.column_stack(chosen)

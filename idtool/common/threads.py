@@ -48,7 +48,8 @@ def with_single_threaded_blas(function: Callable[P, Result]) -> Callable[P, Resu
 def in_threads(evaluate: Callable[[Item], Result], items: Sequence[Item], work: float = _LEAST_WORK) -> list[Result]:
     """Result of each item, in their order, evaluated in as many threads as processes may work at once.
 
-    Within one of these threads there is only one: else their number would be the square of that of the cores.
+    Called in one of these threads, it evaluates all items there: else there were as many threads as the square of the
+    number of cores.
 
     Parameters
     ----------
@@ -78,7 +79,7 @@ class Job(Generic[Result]):
     Attributes
     ----------
     size
-        Memory that it takes, and its result [bytes].
+        Memory that it and its result take [bytes].
     evaluate
         Function that gives the result.
     """
@@ -97,7 +98,8 @@ def evaluated_ahead(jobs: Iterable[Job[Result]], max_size: int) -> Iterator[Resu
     jobs
         The jobs.
     max_size
-        Memory of the jobs that are evaluated in advance [bytes]; a larger one is evaluated when its turn comes.
+        Memory [bytes] up to which jobs are evaluated in advance: less than two times as much is taken, as the last one
+        may exceed it. A job that is larger by itself is evaluated when its turn comes.
     """
     if process_count() == 1:
         for job in jobs:
@@ -143,12 +145,12 @@ def _raise(error: Exception) -> NoReturn:
 
 
 class BackgroundThread(Generic[Result]):
-    """An evaluation in a thread, begun at once; where there is none, when its result is asked for.
+    """An evaluation that begins in a thread at once; with a single process, when its result is asked for.
 
     Parameters
     ----------
     evaluate
-        Function of another one, which tells it to end early as its result is no longer needed.
+        Called with a function that is true once the result is no longer needed, so that it may end early.
     """
 
     def __init__(self, evaluate: Callable[[Callable[[], bool]], Result]) -> None:

@@ -17,7 +17,7 @@ from idtool.data.smoothing import moving_mean
 _MIN_SAMPLES = 64  # samples
 _MAX_LAG = 0.1  # s: more than any drive's filter, less than half a period of most excitations
 _SMOOTHING = 15  # independent bins over which spectra are averaged for the coherence
-_MIN_COHERENCE = 0.5  # bins below this squared coherence have no say in the band; noise alone passes in about 1 of 150
+_MIN_SQUARED_COHERENCE = 0.5  # bins below it have no say in the band; noise alone passes in about 1 of 150
 _BAND_POWER = 0.99
 _MAX_ITERATIONS = 4
 _CONVERGED = 1e-6  # samples of change of the lag
@@ -30,9 +30,9 @@ class Agreement(NamedTuple):
     Attributes
     ----------
     lag
-        Of v behind dq/dt [s].
+        Of v behind dq/dt [s]; negative where v leads.
     gain
-        Of v over dq/dt.
+        Of v over dq/dt; negative where the sign is turned.
     agreement
         Share of v's power in the band of the motion that gain · dq/dt, ``lag`` earlier, explains: 0..1.
     lag_error
@@ -49,8 +49,14 @@ _UNKNOWN = Agreement(float("nan"), float("nan"), float("nan"), float("inf"))
 _UNRELATED = _UNKNOWN._replace(agreement=0.0)
 
 
-def velocity_lag(q: Array, v: Array, dt: float) -> tuple[float, float, float]:
-    """Lag of a measured velocity behind the derivative of the position, and the agreement of the two.
+def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
+    """Lag of a measured velocity behind the derivative of the position, with its error, and the agreement of the two.
+
+    The spectra give the band of the motion and the lag to the nearest sample. Then v = gain · D(t − lag) + constant is
+    solved by Gauss–Newton with every signal smoothed by one Gaussian as wide as that band. D is q under the Gaussian's
+    derivative, shifted by the lag: exact for any fraction of a sample, and with nothing to settle at the ends. The
+    noise of q in D and that in A are uncorrelated, and so leave the lag unbiased. As power weights it, a low-pass
+    filter comes out as its delay at the frequencies of the motion.
 
     Parameters
     ----------
@@ -61,23 +67,8 @@ def velocity_lag(q: Array, v: Array, dt: float) -> tuple[float, float, float]:
 
     Returns
     -------
-    tuple of float
-        Lag [s], positive where v is late; gain of v over dq/dt, negative where the sign is turned; agreement, the
-        share of v's power in the band of the motion that is explained, 0..1. Lag and gain are NaN where nothing
-        agrees; all three are where nothing moves or the stretch is too short.
-    """
-    lag, gain, agreement, _ = velocity_agreement(q, v, dt)
-    return lag, gain, agreement
-
-
-def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
-    """`velocity_lag` with the standard error of the lag.
-
-    The spectra give the band of the motion and the lag to the nearest sample. Then v = gain · D(t − lag) + constant is
-    solved by Gauss–Newton with every signal smoothed by one Gaussian as wide as that band. D is q under the Gaussian's
-    derivative, shifted by the lag: exact for any fraction of a sample, and with nothing to settle at the ends. The
-    noise of q enters D and A, which are uncorrelated, and so leaves the lag unbiased. As power weights it, a low-pass
-    filter comes out as its delay at the frequencies of the motion.
+    The agreement. Lag and gain are NaN where nothing agrees; all but the error, which is infinite, are NaN where
+    nothing moves or the stretch is too short.
     """
     if len(q) < _MIN_SAMPLES or not (np.ptp(q) > 0 and np.ptp(v) > 0):
         return _UNKNOWN
@@ -102,13 +93,17 @@ def velocity_agreement(q: Array, v: Array, dt: float) -> Agreement:
         D = smoothed(q_spectrum, -(x - lag) / sigma**2 * g)
         A = smoothed(q_spectrum, ((x - lag) ** 2 / sigma**2 - 1) / sigma**2 * g)
         M = np.stack([D, A, np.ones_like(D)], axis=1)
-        gain, slope, offset = np.linalg.lstsq(M, V, rcond=None)[0]
-        if gain == 0 or abs(lag - slope / gain) > _MAX_LAG:
+        coefficients = np.linalg.lstsq(M, V, rcond=None)[0]
+        gain, of_acceleration, _ = coefficients
+        if gain == 0:
             return _UNRELATED
-        lag -= slope / gain
-        if abs(slope / gain) < _CONVERGED * dt:
+        correction = -of_acceleration / gain  # D at a later lag is D - correction * A to first order
+        lag += correction
+        if abs(lag) > _MAX_LAG:
+            return _UNRELATED
+        if abs(correction) < _CONVERGED * dt:
             break
-    residual = V - gain * D - slope * A - offset
+    residual = V - M @ coefficients
     agreement = 1 - residual.var() / V.var()
     independent_samples = max(2 * band * dt * len(V), 1.0)
     error = residual.std() / (abs(gain) * A.std() * np.sqrt(independent_samples))
@@ -137,7 +132,7 @@ def _coarse_lag_and_band(q: Array, v: Array, dt: float) -> tuple[float, float]:
     width = min(round(_SMOOTHING * size / n), len(f) // 2)  # padding puts bins between the independent ones
     in_phase = S * np.exp(2j * np.pi * f * lag)
     power = moving_mean(np.abs(D) ** 2, width) * moving_mean(np.abs(V) ** 2, width)
-    is_coherent = np.abs(moving_mean(in_phase, width)) ** 2 > _MIN_COHERENCE * power
+    is_coherent = np.abs(moving_mean(in_phase, width)) ** 2 > _MIN_SQUARED_COHERENCE * power
     weight = np.cumsum(np.where(is_coherent, np.abs(S), 0.0))
     if weight[-1] == 0:
         return lag, 0.0

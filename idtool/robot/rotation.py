@@ -43,14 +43,14 @@ def rpy_from_rotation(R: Array) -> Array:
 
 
 def rotation_of_axes(axes: Array) -> Array:
-    """Rotation matrix by the smallest angle whose columns are given axes, or their opposites; both of shape (3, 3).
+    """Rotation matrix whose columns are given axes or their opposites, so that it turns by the smallest angle.
 
-    Of several with this angle, the first axis keeps its sign, then the second.
+    If several turn by the same angle, the first axis keeps its sign, then the second.
 
     Parameters
     ----------
     axes
-        Orthonormal columns.
+        Orthonormal columns, shape (3, 3).
     """
     handedness = np.sign(np.linalg.det(axes))
     cosines = np.diagonal(axes)

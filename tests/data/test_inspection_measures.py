@@ -8,15 +8,16 @@ from inspected import motion, needs_data
 from paths import REAL
 from scipy.signal import lfilter
 
-from idtool.data.inspection import inspect_log, jitter, quantisation, sample_steps, signal_statistics, velocity_lag
+from idtool.data.inspection import inspect_log, jitter, quantisation, sample_steps, signal_statistics
 from idtool.data.logs import read_log
+from idtool.data.velocity_agreement import velocity_agreement
 
 
 @pytest.mark.parametrize("samples", [0.0, 0.3, 1.0, -2.4, 7.7])
 @pytest.mark.parametrize(("seconds", "rate"), [(20.0, 1000.0), (23.5, 200.0), (3.0, 1000.0)])
 def test_velocity_lag_is_exact_without_noise(samples: float, seconds: float, rate: float) -> None:
     t = np.arange(round(seconds * rate)) / rate
-    lag, gain, agreement = velocity_lag(motion(t), 1.3 * motion(t - samples / rate, 0, 1), 1 / rate)
+    lag, gain, agreement, _ = velocity_agreement(motion(t), 1.3 * motion(t - samples / rate, 0, 1), 1 / rate)
     assert lag * rate == pytest.approx(samples, abs=2e-3)
     assert gain == pytest.approx(1.3, rel=1e-3)
     assert agreement == pytest.approx(1.0, abs=1e-4)
@@ -30,7 +31,7 @@ def test_velocity_lag_bears_noise_quantisation_and_jitter(samples: float, rate: 
     at = t + 0.2 / rate * rng.normal(size=len(t))  # taken off the clock, q and v together
     q = np.round(motion(at) / 1e-4) * 1e-4
     v = np.round((motion(at - samples / rate, 0, 1) + 0.01 * rng.normal(size=len(t))) / 4e-3) * 4e-3
-    lag, gain, agreement = velocity_lag(q, v, 1 / rate)
+    lag, gain, agreement, _ = velocity_agreement(q, v, 1 / rate)
     assert lag * rate == pytest.approx(samples, abs=0.05)
     assert gain == pytest.approx(1.0, abs=2e-3)
     assert agreement > 0.999
@@ -42,7 +43,7 @@ def test_a_low_pass_comes_out_as_its_low_frequency_delay(cutoff: float) -> None:
     t = np.arange(round(20 * rate * fine)) / (rate * fine)
     pole = np.exp(-2 * np.pi * cutoff / (rate * fine))
     v = lfilter([1 - pole], [1, -pole], motion(t, 0, 1))[::fine]
-    lag, gain, _ = velocity_lag(motion(t[::fine]), v, 1 / rate)
+    lag, gain, *_ = velocity_agreement(motion(t[::fine]), v, 1 / rate)
     assert lag == pytest.approx(pole / (1 - pole) / (rate * fine), rel=0.02)
     assert gain == pytest.approx(1.0, abs=5e-3)
 
@@ -50,9 +51,13 @@ def test_a_low_pass_comes_out_as_its_low_frequency_delay(cutoff: float) -> None:
 def test_velocity_lag_says_when_nothing_agrees() -> None:
     t = np.arange(20000) * 1e-3
     noise = np.random.default_rng(0).normal(size=len(t))
-    assert velocity_lag(motion(t), noise, 1e-3)[2] < 0.01
-    assert np.isnan(velocity_lag(motion(t), np.zeros(len(t)), 1e-3)).all()
-    assert np.isnan(velocity_lag(motion(t)[:50], motion(t, 0, 1)[:50], 1e-3)).all()
+    assert velocity_agreement(motion(t), noise, 1e-3).agreement < 0.01
+    for at_rest_or_short in (
+        velocity_agreement(motion(t), np.zeros(len(t)), 1e-3),
+        velocity_agreement(motion(t)[:50], motion(t, 0, 1)[:50], 1e-3),
+    ):
+        assert np.isnan(at_rest_or_short[:3]).all()
+        assert at_rest_or_short.lag_error == np.inf
 
 
 @pytest.mark.parametrize("step", [2 * np.pi / 4096, 2 * np.pi / 2**16 / 6.33, 1e-3, 0.3])

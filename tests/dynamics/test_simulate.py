@@ -174,7 +174,10 @@ def test_a_long_window_is_one_motion(robot_of: ReadRobot, kp: float) -> None:
     signals = signals_of(log_of(t, q=0.05 + 0.02 * np.sin(t), **names), controller={"kp": {"x1": kp}})
     level = 4.0 if kp else 2.0
     machine = mechanism(robot_of(sliders(M)), {"friction": friction(["x1"], [B], [level]), "effects": [SPRING]})
-    (found,) = run(machine, signals, [slice(0, 5000)])
+    shares: list[float] = []
+    (found,) = simulate(machine, [Window(signals, slice(0, 5000))], shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1
 
     def input_torque(now: Array, q: Array, v: Array, rollout_ids: NDArray[np.intp]) -> Array:
         return kp * (wanted(now)[None] - q) if kp else force(now)[None]

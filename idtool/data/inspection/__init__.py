@@ -49,7 +49,6 @@ from idtool.data.inspection.sensor_findings import sensor_findings
 from idtool.data.inspection.signal_statistics import column_statistics, quantisation
 from idtool.data.logs.log import JointLog
 from idtool.data.logs.stored_arrays import copy_array, set_columns
-from idtool.data.velocity_agreement import velocity_lag
 from idtool.robot.config import Config
 
 __all__ = [
@@ -68,7 +67,6 @@ __all__ = [
     "jitter",
     "quantisation",
     "sample_steps",
-    "velocity_lag",
 ]
 
 _MAX_SAMPLES = 1 << 17  # samples that statistics are taken from

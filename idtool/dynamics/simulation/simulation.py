@@ -4,8 +4,7 @@ A rollout starts from the measured state. Rollouts of many windows advance toget
 logs, unless torques differ by log. Long windows are cut into sections, which are simulated in turn, and these into
 pieces, which advance together.
 
-A floating base moves as measured: the joints are those of a robot on a moving platform. In the windows, no contact
-forces act on links that the joints move.
+A floating base moves as measured. No contact forces act, in the windows, on links that the joints move.
 
 Shapes: nv joints, W rollouts, N samples of the longest. Units: rad or m, s, N·m or N.
 """
@@ -129,16 +128,17 @@ def _in_pieces(mechanism: Mechanism, batch: tuple[Window, ...], report: Report) 
 
 
 def _is_cut_into_pieces(mechanism: Mechanism, batch: Sequence[Window]) -> bool:
-    """True if windows are simulated one after the other, in pieces: that takes fewer steps, or one needs much memory.
+    """True if windows are to be simulated one after the other, in pieces.
 
-    Without a controller, which makes motions forget how they began, it takes more steps.
+    That is where one of them needs much memory, or where it takes fewer steps: with a controller, which makes motions
+    forget how they began.
     """
     if max(map(len, batch)) > _most_samples(mechanism):
         return True
     has_controller = any(window.signals.controller.joints.any() for window in batch)
-    durations_together = max(len(window) / _piece_spacing(window) for window in batch)  # in those of a piece
-    durations_in_pieces = _EXPECTED_PASSES * len(batch)
-    return has_controller and durations_in_pieces < durations_together
+    cost_together = max(len(window) / _piece_spacing(window) for window in batch)  # in those of a piece
+    cost_in_pieces = _EXPECTED_PASSES * len(batch)
+    return has_controller and cost_in_pieces < cost_together
 
 
 def _most_samples(mechanism: Mechanism) -> int:
@@ -197,7 +197,8 @@ def _simulate_section(mechanism: Mechanism, section: Window, start_state: Array 
 
     At first each but the first begins in the measured state, and those that did not begin where the piece before them
     ended are done again from there. A controller makes motions forget how they began, so that few passes settle all;
-    where it does not, they are done one after the other.
+    where it does not, they are done one after the other. What follows a diverged piece, whose state is no number,
+    stays as it is.
     """
     pieces = _cut(section, _piece_spacing(section))
     run = _Run(mechanism, pieces)
@@ -206,16 +207,19 @@ def _simulate_section(mechanism: Mechanism, section: Window, start_state: Array 
         run.restart(first_piece, start_state)
     todo = np.arange(len(pieces))
     passes = 0
+    done = 0.0
     while todo.size:
         if passes:
             run.restart(todo, run.rollouts.state_vector[:, todo - 1])
-        share = todo.size / len(pieces)
-        run.advance(todo, partial(_report_part, report, 1 - share, share))
+        share = (1 - done) / 2  # how many passes are to come is not known
+        run.advance(todo, partial(_report_part, report, done, share))
+        done += share
         passes += 1
         jumps = np.abs(run.initial_state_vector[:, 1:] - run.rollouts.state_vector[:, :-1])
         todo = 1 + np.flatnonzero((jumps > _MAX_JUMP).any(axis=0))
         if passes >= _MAX_PARALLEL_PASSES:
             todo = todo[:1]
+    report(1.0)
     return run
 
 
@@ -293,7 +297,7 @@ class _Run:
         report(1.0)
 
     def _stop(self, rollout_ids: Indices, until: Array) -> None:
-        """Stop diverged rollouts: they stay where they were a sample before."""
+        """Stop diverged rollouts, also in ``until``: they stay where they were a sample before."""
         for rollout_id in rollout_ids:
             elapsed = self.rollouts.t[rollout_id] - self._t0[rollout_id]
             k = int(elapsed / self._dt[rollout_id])
@@ -340,7 +344,7 @@ class _Run:
 
 @dataclass(frozen=True)
 class _Steps:
-    """Steps of rollouts, w in all, side by side.
+    """Steps of w rollouts side by side; a rollout may be there several times.
 
     Attributes
     ----------
@@ -349,7 +353,7 @@ class _Steps:
     start_time, end_time
         Shape (w,) [s].
     start_motion, end_motion
-        Position, velocity and acceleration, shape (3, n, w).
+        Position, velocity and acceleration of the n coordinates, shape (3, n, w).
     """
 
     rollout_ids: Indices
