@@ -6,6 +6,7 @@ import math
 import os
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass  # noqa: TID251  # which refuses changes of a result
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,6 @@ from idtool.api.model import Model, Source, as_model
 from idtool.api.notebook import Displayable, shows_progress
 from idtool.api.results import Progress, Recordable, ignore_progress, notice_lines, table_lines
 from idtool.common.arrays import Array
-from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ConfigError
 from idtool.common.notice import Notice
 from idtool.common.number_text import number, short_number

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import atexit
 import copy
-import gc
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -40,7 +38,6 @@ def main() -> None:
     """Run the command line; an error a user can act on is one line and exit code 2."""
     from typer.exceptions import Abort, TyperException
 
-    atexit.register(gc.freeze)  # else the interpreter looks through all objects once more before it frees them
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: threads would wait for each other
     try:
         arguments = sys.argv[1:] or ["--help"]

@@ -47,8 +47,9 @@ if not TYPE_CHECKING:
             fields = dataclasses.fields(cls)
             compared = [field.name for field in fields if field.compare]
             hashed = [field.name for field in fields if (field.compare if field.hash is None else field.hash)]
-            # None: Python's own mark of a class that defines __eq__ alone
-            defined = {name for name, value in vars(cls).items() if value is not None}
+            defined = set(vars(cls))
+            if "__eq__" in defined and cls.__hash__ is None:
+                defined.remove("__hash__")  # set by Python itself
             if repr and "__repr__" not in defined:
                 cls.__repr__ = _repr_of([field.name for field in fields if field.repr])
             if eq and "__hash__" not in defined:

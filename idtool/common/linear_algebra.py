@@ -14,6 +14,7 @@ from idtool.common.arrays import Array, Indices
 _TRIANGLE_BLOCK = 32  # columns that tpqrt eliminates together
 _MAX_ROWS_PER_COLUMN = 4  # above which rows are replaced by their triangular factor
 _EQUAL_GAP = 1e-10  # of the largest eigenvalue, by which equal ones may differ
+_MAX_EQUAL_GAP = 1e-3  # the same, where the matrix has large errors
 _TIE = 1e-6  # relative difference of squared cosines that are equal but for rounding
 _RANK = 1e-9  # ratio to the largest singular value, up to which one counts as 0
 
@@ -170,24 +171,29 @@ def compressed_rows(parts: Sequence[tuple[Array, Indices]], width: int) -> Array
     return np.ascontiguousarray(R)
 
 
-def reproducible_eigh(matrix: Array) -> tuple[Array, Array]:
-    """Eigenvalues of a symmetric matrix, ascending, and eigenvectors that rounding does not exchange, turn or mirror.
+def reproducible_eigh(matrix: Array, tolerance: float | None = None) -> tuple[Array, Array]:
+    """Eigenvalues of a symmetric matrix, ascending, and eigenvectors that small errors do not exchange, turn or mirror.
 
     Eigenvectors may have either sign, and those of equal eigenvalues may be any basis of their space. Here the
     coordinate axis that is nearest to this space, the first of several, is projected on it and gives an eigenvector;
-    then so on in what is left of the space.
+    then so on in what is left of the space. Only eigenvalues that differ by about the tolerance leave a doubt.
 
     Parameters
     ----------
     matrix
         Shape (n, n).
+    tolerance
+        Difference up to which eigenvalues that follow each other count as equal, at most a thousandth of the largest;
+        default: 1e-10 of the largest.
 
     Returns
     -------
     Eigenvalues, shape (n,), and orthonormal eigenvectors as columns, shape (n, n).
     """
     values, vectors = np.linalg.eigh(matrix)
-    is_new = np.diff(values) > _EQUAL_GAP * np.abs(values).max()
+    largest = np.abs(values).max()
+    equal_gap = _EQUAL_GAP * largest if tolerance is None else min(tolerance, _MAX_EQUAL_GAP * largest)
+    is_new = np.diff(values) > equal_gap
     chosen = []
     for basis in np.split(vectors, 1 + np.flatnonzero(is_new), axis=1):
         projector = basis @ basis.T

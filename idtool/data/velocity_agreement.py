@@ -16,8 +16,8 @@ from idtool.data.smoothing import moving_mean
 
 _MIN_SAMPLES = 64  # samples
 _MAX_LAG = 0.1  # s: more than any drive's filter, less than half a period of most excitations
-_SMOOTHING = 15  # independent bins over which spectra are averaged for the coherence
-_MIN_SQUARED_COHERENCE = 0.5  # bins below it have no say in the band; noise alone passes in about 1 of 150
+_SMOOTHING = 15  # bins of a spectrum without padding, over which it is averaged for the coherence
+_MIN_SQUARED_COHERENCE = 0.5  # bins below it have no say in the band; noise alone passes in 1 of 85 to 185
 _BAND_POWER = 0.99
 _MAX_ITERATIONS = 4
 _CONVERGED = 1e-6  # samples of change of the lag
@@ -129,7 +129,7 @@ def _coarse_lag_and_band(q: Array, v: Array, dt: float) -> tuple[float, float]:
     correlation = irfft(S, size)[k] * (1 - 0.1 * np.abs(k) / (max_lag + 1))  # the shorter lag wins a tie
     lag = float(k[np.argmax(np.abs(correlation))] * dt)
     f = rfftfreq(size, dt)
-    width = min(round(_SMOOTHING * size / n), len(f) // 2)  # padding puts bins between the independent ones
+    width = min(round(_SMOOTHING * size / n), len(f) // 2)  # padding puts more bins between
     in_phase = S * np.exp(2j * np.pi * f * lag)
     power = moving_mean(np.abs(D) ** 2, width) * moving_mean(np.abs(V) ** 2, width)
     is_coherent = np.abs(moving_mean(in_phase, width)) ** 2 > _MIN_SQUARED_COHERENCE * power

@@ -15,7 +15,7 @@ from idtool.common.arrays import Array
 from idtool.robot.inertia import skew
 
 _GIMBAL_LOCK = 1e-9  # cosine of the pitch, below which roll and yaw turn about the same axis
-_TRACE_DIGITS = 6  # decimals, to which the traces of rotations by the same angle agree
+_TIE = 1e-6  # difference of the traces of rotations by the same angle
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
@@ -55,8 +55,9 @@ def rotation_of_axes(axes: Array) -> Array:
     handedness = np.sign(np.linalg.det(axes))
     cosines = np.diagonal(axes)
     candidates = np.array([[s, t, s * t * handedness] for s, t in itertools.product((1.0, -1.0), repeat=2)])
-    traces = np.round(candidates @ cosines, _TRACE_DIGITS)
-    return np.asarray(axes * candidates[traces.argmax()])
+    traces = candidates @ cosines  # the greater, the smaller the angle
+    is_smallest = traces > traces.max() - _TIE
+    return np.asarray(axes * candidates[is_smallest.argmax()])
 
 
 def rotation_about(axis: Array, angle: ArrayLike) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import shlex
 from collections.abc import Mapping
+from dataclasses import FrozenInstanceError
 from pathlib import Path
 from typing import Any
 
@@ -201,6 +202,8 @@ def test_simulate_returns_and_writes_what_the_command_does(result: idtool.FitRes
     assert repr(found).startswith("SimulationResult: 3 s open loop, 0.5 s at a time\n")
     with pytest.raises(idtool.IdtoolError, match="is an input file"):
         found.save(out / "log.csv")
+    with pytest.raises(FrozenInstanceError):
+        found.log = idtool.Log(out / "log.csv")  # type: ignore[misc]
 
 
 def test_a_trajectory_is_tracked(out: Path) -> None:

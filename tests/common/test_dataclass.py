@@ -95,6 +95,18 @@ def test_fields_without_hash_may_be_unhashable() -> None:
     assert hash(Pair(1, [2])) == hash(Pair(1, [3]))
 
 
+@pytest.mark.parametrize("decorator", [dataclass, dataclasses.dataclass])
+def test_a_class_may_say_that_it_has_no_hash(decorator: Any) -> None:
+    @decorator(frozen=True)
+    class Unhashable:
+        x: int
+        __hash__ = None  # type: ignore[assignment]
+
+    assert Unhashable(1) == Unhashable(1)
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(Unhashable(1))
+
+
 def test_an_object_that_holds_itself_is_shown() -> None:
     @dataclass()
     class Node:

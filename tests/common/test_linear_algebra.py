@@ -158,3 +158,14 @@ def test_reproducible_eigenvectors_solve_the_problem_and_keep_to_it(
         np.testing.assert_allclose(nearly, V, atol=1e-7)
     if len(set(values)) == 1:
         np.testing.assert_allclose(V, np.eye(4), atol=1e-12)
+
+
+def test_eigenvalues_may_differ_by_a_known_error(rng: np.random.Generator) -> None:
+    """But not by so much that all of a small matrix are the same."""
+    Q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    A = Q * (1.0, 1.0, 3.0) @ Q.T
+    noise = 1e-8 * rng.normal(size=(3, 3))
+    exact, nearly = (reproducible_eigh(matrix, tolerance=1e-6)[1] for matrix in (A, A + noise + noise.T))
+    np.testing.assert_allclose(nearly, exact, atol=1e-7)
+    small = 1e-9 * A
+    np.testing.assert_allclose(reproducible_eigh(small, tolerance=1e-6)[1], exact, atol=1e-12)

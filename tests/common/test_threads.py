@@ -38,12 +38,14 @@ def test_only_much_work_is_shared(work: float, at_once: bool) -> None:
 
 
 def test_threads_have_no_threads_of_their_own_and_later_calls_have() -> None:
-    def names(item: int) -> set[str]:
-        return set(in_threads(lambda inner: threading.current_thread().name, range(8), 1e9))
+    def names(item: int) -> tuple[str, set[str]]:
+        inner_names = in_threads(lambda inner: threading.current_thread().name, range(8), 1e9)
+        return threading.current_thread().name, set(inner_names)
 
-    for of_item in in_threads(names, range(4), 1e9):
-        assert len(of_item) == 1
-    assert threading.current_thread().name not in names(0)
+    for outer, inner in in_threads(names, range(4), 1e9):
+        assert inner == {outer}
+    outer, inner = names(0)
+    assert outer not in inner
 
 
 def test_an_error_is_raised_here() -> None:

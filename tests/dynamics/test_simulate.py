@@ -283,9 +283,11 @@ def test_a_rollout_that_runs_away_is_stopped_and_told(robot_of: ReadRobot, speed
         np.testing.assert_allclose(found.q[0, w], exact(t[part], tau[part], 0.0, 0.0)[0], rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("most", [1, 3, 1000])
+@pytest.mark.parametrize(
+    ("most", "limit"), [(1, "_MAX_STEPS"), (3, "_MAX_STEPS"), (1000, "_MAX_STEPS"), (1, "_MAX_STEP_ELEMENTS")]
+)
 def test_samples_are_the_same_however_many_steps_are_recorded_together(
-    robot_of: ReadRobot, most: int, monkeypatch: pytest.MonkeyPatch
+    robot_of: ReadRobot, most: int, limit: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With friction, whose changes cut steps, and with a rollout that diverges while others' steps wait."""
     t = clock(2100, 1000)
@@ -296,7 +298,7 @@ def test_samples_are_the_same_however_many_steps_are_recorded_together(
     windows = [slice(0, 1000), slice(1000, 2000), slice(1400, 2010), slice(2000, 2002)]
     (usual,) = run(machine, signals, windows)
     assert usual.diverged.tolist() == [False, True, False, False]
-    monkeypatch.setattr(simulation, "_MAX_STEPS", most)
+    monkeypatch.setattr(simulation, limit, most)
     monkeypatch.setattr(simulation, "_SAMPLES_AT_ONCE", 100 * most)
     shares: list[float] = []
     (found,) = simulate(machine, [Window(signals, part) for part in windows], shares.append)

@@ -342,18 +342,25 @@ ALONG = np.eye(3)
 AT_45 = Rotation.from_euler("x", -45, degrees=True).as_matrix()
 
 
-@pytest.mark.parametrize("com", [(0.0, 0.0, 0.0), (0.02, -0.01, 0.1)])
-@pytest.mark.parametrize("R", [ALONG, ALONG[:, [1, 2, 0]], ALONG[:, [1, 0, 2]], AT_45, AT_45[:, [1, 2, 0]]])
-@pytest.mark.parametrize("size", [(0.1, 0.2, 0.4), (0.1, 0.1, 0.4), (0.3, 0.3, 0.1), (0.2, 0.2, 0.2)])
+OBLIQUE = Rotation.from_euler("xyz", (0.3, -0.7, 1.1)).as_matrix()
+
+
+@pytest.mark.parametrize("com", [(0.0, 0.0, 0.0), (0.02, -0.01, 0.1), (0.0, 0.0, 0.3)])
+@pytest.mark.parametrize("R", [ALONG, ALONG[:, [1, 2, 0]], ALONG[:, [1, 0, 2]], AT_45, AT_45[:, [1, 2, 0]], OBLIQUE])
+@pytest.mark.parametrize(
+    "size", [(0.1, 0.2, 0.4), (0.1, 0.1, 0.4), (0.3, 0.3, 0.1), (0.2, 0.2, 0.2), (0.02, 0.02, 0.04)]
+)
 def test_rounding_does_not_turn_axes_or_exchange_points(
     size: tuple[float, float, float], R: Array, com: tuple[float, float, float], rng: np.random.Generator
 ) -> None:
-    """Boxes, square columns and plates, and a cube, in their ellipsoid of minimum volume and in another one."""
+    """Boxes, columns, plates and a cube, of which some are far away, in their least ellipsoid and in another one."""
     pi = box(size, R, com)
     own = Ellipsoid.from_axes(com, np.multiply(np.sqrt(3) / 2, size), R * np.sign(np.linalg.det(R)))
     other = Ellipsoid((0.01, 0.02, 0.05), (0.6, 0.5, 0.7))
+    length = np.sqrt(np.abs(pi[4:]).max() / pi[0])
+    scale = pi[0] * np.repeat([1, length, length**2], [1, 3, 6])
     for _ in range(10):
-        nearly = pi + 1e-13 * np.abs(pi).max() * rng.normal(size=10)
+        nearly = pi + 1e-12 * scale * rng.normal(size=10)
         np.testing.assert_allclose(deviation_ellipsoid(nearly).rpy, deviation_ellipsoid(pi).rpy, atol=1e-8)
         for S in (own, other, None):
             np.testing.assert_allclose(find_witness(nearly, S).points, find_witness(pi, S).points, atol=1e-6)

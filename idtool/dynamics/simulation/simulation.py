@@ -197,8 +197,8 @@ def _simulate_section(mechanism: Mechanism, section: Window, start_state: Array 
 
     At first each but the first begins in the measured state, and those that did not begin where the piece before them
     ended are done again from there. A controller makes motions forget how they began, so that few passes settle all;
-    where it does not, they are done one after the other. What follows a diverged piece, whose state is no number,
-    stays as it is.
+    where it does not, they are done one after the other. What follows a diverged piece is of
+    no use, and need not begin in its state, which may be no number.
     """
     pieces = _cut(section, _piece_spacing(section))
     run = _Run(mechanism, pieces)

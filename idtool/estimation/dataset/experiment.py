@@ -14,6 +14,7 @@ from idtool.common.exceptions import ConfigError, LogError, ModelError
 from idtool.common.names import join_names, printable, suggestion
 from idtool.common.notice import Notice
 from idtool.common.number_text import short_number
+from idtool.common.processes import process_count
 from idtool.common.provenance import InputFile
 from idtool.common.threads import in_threads
 from idtool.data.base_sensors import POSE, BaseSensors, needed_channels, sensor_options
@@ -511,7 +512,8 @@ def prepare(
         log, name = log_and_name
         return signals_of(log, model, config, name)
 
-    values = sum(log.signals["q"].size for log in every)
+    # Each log has threads of its own if it is not prepared in one: they are more where logs are few.
+    values = sum(log.signals["q"].size for log in every) if len(every) >= process_count() else 0
     signals_by_log = in_threads(signals_of_named, list(zip(every, names, strict=True)), values)
     runs = []
     for signals, share, limits in zip(signals_by_log, shares, beyond_limits, strict=True):
