@@ -86,12 +86,12 @@ def _realizability_notices(experiment: Experiment, identified: EstimateWithPrior
     """Bodies that are not realizable."""
     unreal = [body.name for body, pi in _bodies(identified) if not is_realizable(pi)]
     if unreal:
-        message = f"the parameters of {', '.join(unreal)} are not realizable: a URDF must not contain them"
+        message = f"the parameters of {join_names(unreal)} are not realizable: a URDF must not contain them"
         yield Notice("not_realizable", "problem", None, message)
     as_given = identified.prior is experiment.model.bodies
     moved = moved_priors(experiment.equation, identified.prior, identified.regularization) if as_given else ()
     if moved:
-        message = f"the prior of {', '.join(moved)} is not realizable; the nearest realizable one is used"
+        message = f"the prior of {join_names(moved)} is not realizable; the nearest realizable one is used"
         yield Notice("prior_not_realizable", "warning", None, message)
 
 

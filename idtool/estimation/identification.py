@@ -10,6 +10,7 @@ from typing import Literal
 from idtool.common.arrays import Array
 from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import SolverError
+from idtool.common.names import join_names
 from idtool.common.notice import Notice
 from idtool.common.number_text import short_number
 from idtool.estimation.dataset.blocks import Blocks, merge_reductions
@@ -212,7 +213,7 @@ def bounds_notices(model: RobotModel, sets: Sequence[ConstraintSet], name: str |
     if not lacking:
         return []
     bounds = {"known_com": "known centre of mass", "shape": "bounding shape"}.get(name or "", "bounding ellipsoid")
-    names = ", ".join(body.name for body in lacking)
+    names = join_names([body.name for body in lacking])
     message = f"these bodies have no {bounds}, so only full physical consistency is required of them: {names}"
     advice = "add the missing bounds to the configuration"
     links = [member.link for body in lacking if body.kind == "link" for member in body.members]

@@ -351,8 +351,7 @@ class _Builder:
         if not chosen:
             if not actuated:
                 raise ModelError(self.robot.path, "has no actuated joint; nothing can be identified")
-            own = ", ".join(list(actuated)[:8])
-            logged = ", ".join(self.logged[:8])
+            own, logged = join_names(actuated), join_names(self.logged)
             raise ModelError(
                 self.robot.path, f"none of its actuated joints is in the logs; it has {own}, the logs have {logged}"
             )
@@ -363,7 +362,7 @@ class _Builder:
             self.notices.append(Notice("unknown_joints", "note", None, message, advice))
         locked = [name for name in actuated if name not in chosen]
         if locked:
-            values = ", ".join(f"{name} at {self.config.locked_joints.get(name, 0.0):g}" for name in locked)
+            values = ", ".join(f"{printable(name)} at {self.config.locked_joints.get(name, 0.0):g}" for name in locked)
             advice = "if their positions were different, set them under locked_joints"
             self.notices.append(
                 Notice("joints_held_still", "note", None, f"joints assumed to stand still: {values}", advice)

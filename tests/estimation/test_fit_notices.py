@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 from commands import LEG, TRAIN
 from leg_truth import TRUTH
+from robots import chain, link
 
 import idtool
+from idtool.estimation.identification import bounds_notices, choose_sets
+from idtool.robot.model import RobotModel
 
 RIGHT = idtool.Log(TRAIN)
 HEAVY, WORSE, UNIT = "the total mass of the bodies is", "worse than the URDF does", "times the measured torque"
@@ -103,3 +106,9 @@ def test_ellipsoids_are_recommended_where_there_is_geometry(tmp_path: Path, has_
     result = idtool.fit(idtool.Model(urdf, {}), TRAIN, quick=True)
     (notice,) = [notice for notice in result.notices if notice.code == "bodies_without_bounds"]
     assert ("idtool ellipsoids" in notice.advice) == has_geometry
+
+
+def test_of_many_bodies_without_bounds_some_are_named(build: Callable[..., RobotModel]) -> None:
+    model = build(chain(*map(link, range(1, 9))), [f"j{i}" for i in range(1, 9)])
+    (notice,) = bounds_notices(model, choose_sets(model.bodies, None), None)
+    assert notice.message.endswith("is required of them: l1, l2, l3, l4, l5, l6 and 2 more")
