@@ -172,19 +172,22 @@ def compressed_rows(parts: Sequence[tuple[Array, Indices]], width: int) -> Array
 
 
 def reproducible_eigh(matrix: Array, tolerance: float | None = None) -> tuple[Array, Array]:
-    """Eigenvalues of a symmetric matrix, ascending, and eigenvectors that small errors do not exchange, turn or mirror.
+    """Eigenvalues, ascending, and eigenvectors of a symmetric matrix, chosen so that rounding does not change them.
 
-    Eigenvectors may have either sign, and those of equal eigenvalues may be any basis of their space. Here the
-    coordinate axis that is nearest to this space, the first of several, is projected on it and gives an eigenvector;
-    then so on in what is left of the space. Only eigenvalues that differ by about the tolerance leave a doubt.
+    Eigenvectors may have either sign. Those of equal eigenvalues may be any basis of their eigenspace. One basis is
+    chosen here: the coordinate axis that is nearest to the eigenspace is projected onto it, and gives an eigenvector.
+    If several axes are as near, it is the first. The same is done with what is left of the eigenspace.
+
+    The choice is uncertain only if two eigenvalues differ by about the tolerance, or if the squared cosines of two axes
+    differ by about a millionth. Within a group of equal eigenvalues, vectors and values match to the tolerance.
 
     Parameters
     ----------
     matrix
         Shape (n, n).
     tolerance
-        Difference up to which eigenvalues that follow each other count as equal, at most a thousandth of the largest;
-        default: 1e-10 of the largest.
+        Difference up to which neighbouring eigenvalues count as equal. No more than a thousandth of the largest
+        eigenvalue is used. Default: 1e-10 of the largest.
 
     Returns
     -------
@@ -193,9 +196,10 @@ def reproducible_eigh(matrix: Array, tolerance: float | None = None) -> tuple[Ar
     values, vectors = np.linalg.eigh(matrix)
     largest = np.abs(values).max()
     equal_gap = _EQUAL_GAP * largest if tolerance is None else min(tolerance, _MAX_EQUAL_GAP * largest)
-    is_new = np.diff(values) > equal_gap
+    starts_group = np.diff(values) > equal_gap
+    group_starts = 1 + np.flatnonzero(starts_group)
     chosen = []
-    for basis in np.split(vectors, 1 + np.flatnonzero(is_new), axis=1):
+    for basis in np.split(vectors, group_starts, axis=1):
         projector = basis @ basis.T
         for _ in range(basis.shape[1]):
             squared_cosines = np.diagonal(projector)  # of the angles between the coordinate axes and the space

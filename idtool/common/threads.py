@@ -48,8 +48,8 @@ def with_single_threaded_blas(function: Callable[P, Result]) -> Callable[P, Resu
 def in_threads(evaluate: Callable[[Item], Result], items: Sequence[Item], work: float = _LEAST_WORK) -> list[Result]:
     """Result of each item, in their order, evaluated in as many threads as processes may work at once.
 
-    Called in one of these threads, it evaluates all items there: else there were as many threads as the square of the
-    number of cores.
+    If it is called in one of these threads, it starts no others and evaluates all items there. Otherwise the number of
+    threads would be the square of the number of cores.
 
     Parameters
     ----------
@@ -98,8 +98,8 @@ def evaluated_ahead(jobs: Iterable[Job[Result]], max_size: int) -> Iterator[Resu
     jobs
         The jobs.
     max_size
-        Memory [bytes] up to which jobs are evaluated in advance: less than two times as much is taken, as the last one
-        may exceed it. A job that is larger by itself is evaluated when its turn comes.
+        Jobs are evaluated in advance until they take this much memory [bytes]. The last of them may exceed it, so that
+        less than twice as much is taken. A job that takes more by itself is evaluated when its turn comes.
     """
     if process_count() == 1:
         for job in jobs:

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from idtool.common.arrays import Array, Indices, Mask
 from idtool.common.dataclass import dataclass
-from idtool.common.linear_algebra import reproducible_eigh
 from idtool.robot.convex import principal_axes
 from idtool.robot.rotation import rotation_from_rpy, rotation_of_axes, rpy_from_rotation
 
@@ -118,7 +117,7 @@ def minimum_volume_ellipsoid(points: ArrayLike, tolerance: float = 1e-4, min_thi
     core = _spanning_points(cloud)
     while True:
         center, shape = _khachiyan(cloud[core], tolerance)
-        squares, axes = reproducible_eigh(shape)
+        squares, axes = np.linalg.eigh(shape)
         distance = np.square((cloud - center) @ axes / np.sqrt(squares)).sum(axis=1)
         beyond = np.setdiff1d(np.flatnonzero(distance > 1 + 2 * tolerance), core)
         if not len(beyond):

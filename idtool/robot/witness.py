@@ -22,7 +22,7 @@ from idtool.robot.rotation import rotation_of_axes
 
 _TOLERANCE = 1e-9  # of the body's own spread, and of its ellipsoid
 _ROUNDING = 16 * np.finfo(float).eps  # of moments about the origin, in those about the centre of mass
-_TIE = 1e-10  # of moments about the origin, by which equal ones about the centre of mass may differ
+_EQUAL_MOMENT_GAP = 1e-10  # of moments about the origin, by which equal ones about the centre of mass may differ
 _MIN_POINT_MASS = 1e-14  # of the body's mass: the position of a lighter point is rounding error
 _MIN_AXIS_RATIO = 1e-4  # of the longest semi-axis, for the ellipsoid of a flat body
 _MIN_SEMI_AXIS = 1e-6  # m, for the ellipsoid of a body that is a point
@@ -86,7 +86,7 @@ class _MassDistribution:
         Eigenvalues of Sigma_C / m, ascending [m²], and its eigenvectors as columns.
     error
         How far below zero mu may be for a flat body [m²].
-    tie
+    equal_gap
         Difference up to which mu count as equal [m²].
     """
 
@@ -95,19 +95,19 @@ class _MassDistribution:
     mu: Array
     axes: Array
     error: float
-    tie: float
+    equal_gap: float
 
     @classmethod
     def from_parameters(cls, pi: Array) -> _MassDistribution:
         mass, com, inertia = mass_com_inertia(pi)
         Sigma_C = 0.5 * np.trace(inertia) * np.eye(3) - inertia
         about_origin = float(com @ com + np.abs(pi[4:]).max() / mass)
-        tie = _TIE * about_origin
-        mu, axes = reproducible_eigh(Sigma_C / mass, tie)
+        equal_gap = _EQUAL_MOMENT_GAP * about_origin
+        mu, axes = reproducible_eigh(Sigma_C / mass, equal_gap)
         rounding = _ROUNDING * about_origin
         mu = np.where(np.abs(mu) <= rounding, 0.0, mu)
         error = float(_TOLERANCE * np.abs(mu).max() + rounding)
-        return cls(mass, com, mu, axes, error, tie)
+        return cls(mass, com, mu, axes, error, equal_gap)
 
 
 def find_witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
@@ -148,7 +148,8 @@ def find_witness(pi: ArrayLike, ellipsoid: Ellipsoid | None = None) -> Witness:
     L[:3, :3] = to_ball @ body.axes * np.sqrt(np.maximum(body.mu, 0))
     L[:3, 3] = to_ball @ (body.com - ellipsoid.center)
     Q_ball = np.diag([-1.0, -1.0, -1.0, 1.0])
-    _, V = reproducible_eigh(L.T @ Q_ball @ L, _TIE + body.tie / min(ellipsoid.semi_axes) ** 2)
+    equal_gap = body.equal_gap / min(ellipsoid.semi_axes) ** 2
+    _, V = reproducible_eigh(L.T @ Q_ball @ L, equal_gap)
     Z = L @ V @ _HADAMARD / 2
     is_massless = Z[3] ** 2 <= _MIN_POINT_MASS
     u = np.where(is_massless, L[:3, 3:], Z[:3] / np.where(is_massless, 1.0, Z[3]))  # points in the unit ball, (3, 4)

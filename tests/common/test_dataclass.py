@@ -96,6 +96,19 @@ def test_fields_without_hash_may_be_unhashable() -> None:
 
 
 @pytest.mark.parametrize("decorator", [dataclass, dataclasses.dataclass])
+def test_a_frozen_class_with_its_own_equality_is_hashed_by_its_fields(decorator: Any) -> None:
+    @decorator(frozen=True)
+    class Rounded:
+        x: float
+
+        def __eq__(self, other: object) -> bool:
+            return isinstance(other, Rounded) and round(self.x) == round(other.x)
+
+    assert Rounded(1.0) == Rounded(1.2)
+    assert hash(Rounded(1.0)) == hash(Rounded(1.0))
+
+
+@pytest.mark.parametrize("decorator", [dataclass, dataclasses.dataclass])
 def test_a_class_may_say_that_it_has_no_hash(decorator: Any) -> None:
     @decorator(frozen=True)
     class Unhashable:

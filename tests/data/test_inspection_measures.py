@@ -37,6 +37,25 @@ def test_velocity_lag_bears_noise_quantisation_and_jitter(samples: float, rate: 
     assert agreement > 0.999
 
 
+def test_error_of_the_lag_is_its_scatter() -> None:
+    rng = np.random.default_rng(3)
+    t = np.arange(5000) * 1e-3
+    found = []
+    for _ in range(40):
+        v = motion(t - 0.002, 0, 1) + 0.3 * rng.normal(size=len(t))
+        found.append(velocity_agreement(motion(t), v, 1e-3))
+    scatter = np.std([one.lag for one in found])
+    errors = [one.lag_error for one in found]
+    assert 0.4 * scatter < np.mean(errors) < 2.5 * scatter
+
+
+def test_a_lag_that_no_drive_has_is_none() -> None:
+    t = np.arange(20000) * 1e-3
+    late = velocity_agreement(motion(t), motion(t - 0.13, 0, 1), 1e-3)
+    assert np.isnan(late.lag)
+    assert late.agreement == 0
+
+
 @pytest.mark.parametrize("cutoff", [80.0, 160.0])
 def test_a_low_pass_comes_out_as_its_low_frequency_delay(cutoff: float) -> None:
     fine, rate = 20, 1000.0

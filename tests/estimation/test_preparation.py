@@ -22,10 +22,14 @@ from idtool.robot.urdf.reading import read_robot
 URDF = SAMPLES / "leg.urdf"
 
 
-@pytest.fixture(autouse=True)
-def two_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+def set_process_count(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     for module in (threads, experiment):
-        monkeypatch.setattr(module, "process_count", lambda: 2)
+        monkeypatch.setattr(module, "process_count", lambda: count)
+
+
+@pytest.fixture(autouse=True)
+def as_many_processes_as_logs(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_process_count(monkeypatch, 3)
 
 
 @pytest.fixture
@@ -80,7 +84,8 @@ def test_fewer_logs_than_processes_are_prepared_one_after_the_other(
     monkeypatch: pytest.MonkeyPatch, used_threads: set[str]
 ) -> None:
     monkeypatch.setattr(threads, "_LEAST_WORK", 1)
-    prepared(parts_of_the_sample_log()[:1])
+    set_process_count(monkeypatch, 4)
+    prepared(parts_of_the_sample_log())
     assert used_threads == {threading.current_thread().name}
 
 

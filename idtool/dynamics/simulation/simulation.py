@@ -130,8 +130,8 @@ def _in_pieces(mechanism: Mechanism, batch: tuple[Window, ...], report: Report) 
 def _is_cut_into_pieces(mechanism: Mechanism, batch: Sequence[Window]) -> bool:
     """True if windows are to be simulated one after the other, in pieces.
 
-    That is where one of them needs much memory, or where it takes fewer steps: with a controller, which makes motions
-    forget how they began.
+    This is done if one of them needs much memory. It is also done if it takes fewer steps: if the windows are long and
+    few, and there is a controller, which makes motions forget how they began.
     """
     if max(map(len, batch)) > _most_samples(mechanism):
         return True
@@ -197,8 +197,8 @@ def _simulate_section(mechanism: Mechanism, section: Window, start_state: Array 
 
     At first each but the first begins in the measured state, and those that did not begin where the piece before them
     ended are done again from there. A controller makes motions forget how they began, so that few passes settle all;
-    where it does not, they are done one after the other. What follows a diverged piece is of
-    no use, and need not begin in its state, which may be no number.
+    where it does not, they are done one after the other. What follows a diverged piece is not used. It need not begin
+    in the state of that piece, which may be no number.
     """
     pieces = _cut(section, _piece_spacing(section))
     run = _Run(mechanism, pieces)
@@ -330,15 +330,14 @@ class _Run:
 
     def result(self) -> SimulatedWindows:
         """Motion and torque as sensors would give them."""
-        tau = np.empty_like(self._q)
-        for w, last in enumerate(self._last):
-            for first in range(0, tau.shape[2], _SAMPLES_AT_ONCE):
-                part = slice(first, first + _SAMPLES_AT_ONCE)
-                q, v = self._q[:, w, part], self._v[:, w, part]
-                samples = np.minimum(first + np.arange(q.shape[1]), last)
+        tau = np.zeros_like(self._q)
+        for w, window in enumerate(self._windows):
+            for first in range(0, len(window), _SAMPLES_AT_ONCE):
+                samples = np.arange(first, min(first + _SAMPLES_AT_ONCE, len(window)))
                 t = self._t0[w] + samples * self._dt[w]
+                q, v = self._q[:, w, samples], self._v[:, w, samples]
                 rollout_ids = np.full(len(t), w)
-                tau[:, w, part] = self._input_torque.measured_torque(t, q, v, rollout_ids)
+                tau[:, w, samples] = self._input_torque.measured_torque(t, q, v, rollout_ids)
         return SimulatedWindows(self._windows, self._q, self._v, tau, self._diverged)
 
 

@@ -20,6 +20,7 @@ from idtool.common.arrays import Array
 from idtool.common.dataclass import dataclass
 from idtool.common.exceptions import ModelError
 from idtool.common.input_files import read_error_text
+from idtool.common.names import join_names
 from idtool.common.provenance import InputFile, source_from_bytes
 from idtool.robot.inertia import from_mass_com_inertia, symmetric_matrix
 from idtool.robot.rotation import rotation_from_rpy
@@ -389,7 +390,7 @@ def _tree(path: Path, links: dict[str, Array | None], joints: list[UrdfJoint]) -
         children.setdefault(joint.parent, []).append(joint)
     roots = [link for link in links if link not in parent_joint]
     if len(roots) != 1:
-        which = f"{len(roots)} root links ({', '.join(roots[:4])})" if roots else "no root link"
+        which = f"{len(roots)} root links ({join_names(roots)})" if roots else "no root link"
         raise ModelError(path, f"has {which}; a URDF must be one tree")
     order: list[UrdfJoint] = []
     stack = list(reversed(children.get(roots[0], [])))
