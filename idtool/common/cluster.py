@@ -32,6 +32,12 @@ _SECONDS_TO_CONNECT = 10
 _SECONDS_TO_FIRST_WORKER = 120
 _RETRIES = 2  # of an evaluation that raises an error
 _TASKS_PER_THREAD = 3  # that are given out at once: each holds its item in memory
+_LOCAL_SETTINGS = {  # how often Dask watches itself; its defaults take a twentieth of the time of two cores
+    "distributed.admin.tick.interval": "1s",  # delays of its event loops
+    "distributed.admin.system-monitor.interval": "2s",
+    "distributed.worker.memory.monitor-interval": "500ms",
+    "distributed.worker.profile.interval": "200ms",
+}
 
 
 class Cluster:
@@ -175,10 +181,12 @@ def _checked_address(address: str) -> str:
 @contextmanager
 def _local_client(count: int) -> Iterator[Any]:
     """Client of a cluster of some processes on this machine."""
+    import dask.config
     from distributed import Client, LocalCluster
 
     options = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": ":0", "silence_logs": logging.CRITICAL}
-    with LocalCluster(**options) as cluster, Client(cluster, set_as_default=False) as client:
+    settings = dask.config.set(_LOCAL_SETTINGS)
+    with settings, LocalCluster(**options) as cluster, Client(cluster, set_as_default=False) as client:
         client.register_plugin(_without_interrupt())
         yield client
 

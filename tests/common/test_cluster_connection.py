@@ -6,6 +6,7 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from typing import Any
 
+import dask.config
 import pytest
 from distributed import KilledWorker
 
@@ -86,3 +87,8 @@ def test_addresses_of_none(address: str) -> None:
 )
 def test_secrets_of_urls_are_not_shown(text: str, shown: str) -> None:
     assert without_secrets(text) == shown
+
+
+@pytest.mark.parametrize("name", cluster._LOCAL_SETTINGS)
+def test_settings_of_a_local_cluster_are_those_of_dask(name: str) -> None:
+    assert dask.config.get(name) is not None  # another name would be ignored
