@@ -232,8 +232,9 @@ class _FreeMotion:
 
     Attributes
     ----------
-    driven_up, driven_down
-        Samples where the transmitted torque is above and below 0, ascending.
+    next_driven_up, next_driven_down
+        The first sample from each on where the transmitted torque is above, or below, 0; N if there is none, and at
+        the end, so that there are N + 1.
     dt
         Time between samples [s].
     sample_count
@@ -266,8 +267,8 @@ class _FreeMotion:
         damping_divisor = 1 + link_viscosity / inertia * motion.dt  # of an implicit step, which is stable
         self.dt = motion.dt
         self.sample_count = len(velocity)
-        self.driven_up: list[int] = np.flatnonzero(transmitted > 0).tolist()
-        self.driven_down: list[int] = np.flatnonzero(transmitted < 0).tolist()
+        self.next_driven_up = _next_in(transmitted > 0)
+        self.next_driven_down = _next_in(transmitted < 0)
         self._transmitted = transmitted.tolist()
         self._inertia = inertia.tolist()
         self._damping_divisor = damping_divisor.tolist()
@@ -293,41 +294,62 @@ class _FreeMotion:
         At each sample from the separation on: displacement of the motor relative to the link [rad or m], and friction
         of the link at its own velocity less that at the motor's [N·m or N].
         """
-        path = self._paths.setdefault(separation, _FreePath())
-        while True:
-            contact = bisect_left(path.farthest_travels, width)
-            if contact < len(path.farthest_travels) or path.is_complete:
-                return path.displacements[: contact + 1], path.link_friction_corrections[: contact + 1]
+        path = self._paths.get(separation)
+        if path is None:
+            path = self._paths[separation] = _FreePath()
             self._extend(path, separation)
+        while not path.is_complete and path.farthest_travels[-1] < width:
+            self._extend(path, separation)
+        contact = bisect_left(path.farthest_travels, width)
+        return path.displacements[: contact + 1], path.link_friction_corrections[: contact + 1]
 
     def _extend(self, path: _FreePath, separation: int) -> None:
         """Extend a path to about twice its length, at most to where the teeth meet on the side that they left."""
-        direction = 1 if self._transmitted[separation] > 0 else -1  # in which the motor is driven away
-        displacement = path.displacements[-1] if path.displacements else 0.0
-        farthest_travel = path.farthest_travels[-1] if path.farthest_travels else 0.0
+        # Local names are found faster than attributes: this loop takes much of the time of a search for backlash.
+        inertia, transmitted, motor_velocity = self._inertia, self._transmitted, self._motor_velocity
+        velocity_increment, damping_divisor = self._velocity_increment, self._damping_divisor
+        max_dry_friction_increment = self._max_dry_friction_increment
+        displacements, farthest_travels = path.displacements, path.farthest_travels
+        corrections = path.link_friction_corrections
+        dt = self.dt
+        direction = 1 if transmitted[separation] > 0 else -1  # in which the motor is driven away
+        displacement = displacements[-1] if displacements else 0.0
+        farthest_travel = farthest_travels[-1] if farthest_travels else 0.0
         velocity = path.velocity
-        first = separation + len(path.displacements)
-        last = min(first + max(len(path.displacements), _MIN_EXTENSION), self.sample_count)
+        first = separation + len(displacements)
+        last = min(first + max(len(displacements), _MIN_EXTENSION), self.sample_count)
         for k in range(first, last):
             previous_velocity = velocity
-            damped_velocity = (velocity + self._velocity_increment[k]) / self._damping_divisor[k]
+            damped_velocity = (velocity + velocity_increment[k]) / damping_divisor[k]
             # Dry friction slows the link down, at most to rest.
-            link_velocity = self._motor_velocity[k] - damped_velocity
-            max_increment = self._max_dry_friction_increment[k]
-            velocity = damped_velocity + min(max(link_velocity, -max_increment), max_increment)
+            friction_increment = motor_velocity[k] - damped_velocity
+            max_increment = max_dry_friction_increment[k]
+            if friction_increment > max_increment:
+                friction_increment = max_increment
+            elif friction_increment < -max_increment:
+                friction_increment = -max_increment
+            velocity = damped_velocity + friction_increment
             # No torque is transmitted: what does not accelerate the link is friction.
-            net_torque = self._inertia[k] * (velocity - previous_velocity) / self.dt
-            path.link_friction_corrections.append(net_torque - self._transmitted[k])
-            displacement += velocity * self.dt
+            net_torque = inertia[k] * (velocity - previous_velocity) / dt
+            corrections.append(net_torque - transmitted[k])
+            displacement += velocity * dt
             travel = direction * displacement
-            farthest_travel = max(farthest_travel, travel)
-            path.displacements.append(displacement)
-            path.farthest_travels.append(farthest_travel)
+            if travel > farthest_travel:
+                farthest_travel = travel
+            displacements.append(displacement)
+            farthest_travels.append(farthest_travel)
             if travel <= 0:
                 path.is_complete = True
                 return
         path.velocity = velocity
         path.is_complete = last == self.sample_count
+
+
+def _next_in(mask: Mask) -> list[int]:
+    """The first sample of a mask from each sample on, shape (N,), and from the end; N if there is none."""
+    count = len(mask)
+    samples = np.where(mask, np.arange(count), count)
+    return [*np.minimum.accumulate(samples[::-1])[::-1].tolist(), count]
 
 
 @dataclass
@@ -371,27 +393,31 @@ def _free_motion(motion: Motion, joint: int, motor_friction: float, linearized: 
 
 def _trajectory(free: _FreeMotion, width: float) -> _PlayTrajectory:
     """Trajectory within a play of a given width [rad or m], along the motion of ``free``."""
-    positions = np.empty(free.sample_count)
-    link_friction_corrections = np.zeros(free.sample_count)
-    is_separated = np.zeros(free.sample_count, dtype=bool)
-    begins_driven_down = free.driven_down[:1] == [0]
-    side = -1 if begins_driven_down else 1  # of the play, at which the teeth are in contact
+    sides: list[int] = []  # of the play, on which the teeth are in contact before each separation
+    lengths: list[int] = []  # of contacts and separations by turns, beginning with a contact
+    displacements: list[float] = []  # during all separations
+    corrections: list[float] = []
+    side = -1 if free.next_driven_down[0] == 0 else 1
     k = 0
-    while k < free.sample_count:
+    while True:
         # The teeth stay in contact until they are driven apart.
-        driven_apart = free.driven_down if side > 0 else free.driven_up
-        next_drive = bisect_left(driven_apart, k)
-        separation = driven_apart[next_drive] if next_drive < len(driven_apart) else free.sample_count
-        contact = side * width / 2
-        positions[k:separation] = contact
+        separation = free.next_driven_down[k] if side > 0 else free.next_driven_up[k]
+        sides.append(side)
+        lengths.append(separation - k)
         if separation == free.sample_count:
             break
-        displacements, corrections = free.until_contact(separation, width)
-        k = separation + len(displacements)
-        positions[separation:k] = displacements
-        positions[separation:k] += contact
-        link_friction_corrections[separation:k] = corrections
-        is_separated[separation:k] = True
-        side = 1 if contact + displacements[-1] > 0 else -1
-    positions = np.clip(positions, -width / 2, width / 2)
-    return _PlayTrajectory(positions, link_friction_corrections, is_separated.astype(float), free.dt)
+        own_displacements, own_corrections = free.until_contact(separation, width)
+        lengths.append(len(own_displacements))
+        displacements += own_displacements
+        corrections += own_corrections
+        k = separation + len(own_displacements)
+        side = 1 if side * width / 2 + displacements[-1] > 0 else -1
+    is_separated = np.repeat(np.arange(len(lengths)) % 2 == 1, lengths)
+    side_before = np.repeat(np.repeat(sides, 2)[: len(lengths)], lengths)
+    positions = side_before * width / 2
+    positions[is_separated] += displacements
+    link_friction_corrections = np.zeros(free.sample_count)
+    link_friction_corrections[is_separated] = corrections
+    return _PlayTrajectory(
+        np.clip(positions, -width / 2, width / 2), link_friction_corrections, is_separated.astype(float), free.dt
+    )
