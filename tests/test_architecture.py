@@ -46,6 +46,7 @@ LIBRARY_USERS = {
     "trimesh": ("robot/meshes.py",),
     "coal": ("robot/collision_geometry.py",),
     "rerun": ("reporting/rerun_recording.py",),
+    "dask": ("common/cluster.py",),
     "distributed": ("common/cluster.py",),
     "upath": ("common/urls.py",),
 }
