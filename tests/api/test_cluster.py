@@ -14,13 +14,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import dask.config
 import numpy as np
 import pytest
 from commands import LEG, TRAIN, VALIDATE, idtool
 from figures import assert_same_figures
 
 import idtool as package
-from idtool.common.cluster import open_cluster
+from idtool.common.cluster import _LOCAL_SETTINGS, open_cluster
 from idtool.common.exceptions import ConfigError
 from idtool.estimation import distributed_reduction
 
@@ -298,6 +299,15 @@ def test_a_holdout_of_everything_is_refused(scheduler: str) -> None:
     refused = idtool("fit", LEG, TRAIN, "--cluster", scheduler, "--holdout", 1)
     assert refused.code == 2
     assert refused.err == "error: --holdout: 1 is not a fraction; give a number from 0 to below 1\n"
+
+
+def test_processes_on_this_machine_have_the_settings_and_this_one_has_its_own_again() -> None:
+    names = list(_LOCAL_SETTINGS)
+    before = [dask.config.get(name) for name in names]
+    with open_cluster("local:1") as cluster:
+        in_worker = dict(cluster.evaluate(dask.config.get, names))
+    assert [in_worker[i] for i in range(len(names))] == list(_LOCAL_SETTINGS.values())
+    assert [dask.config.get(name) for name in names] == before
 
 
 def test_packages_that_are_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -206,7 +206,8 @@ def _mean_trajectory(
     `Backlash.add_to_forward_model`.
     """
     free = _free_motion(motion, joint, nonlinear_values["motor_friction"], linearized)
-    trajectories = [_trajectory(free, factor * nonlinear_values["width"]) for factor in _WIDTH_FACTORS]
+    widths = [factor * nonlinear_values["width"] for factor in _WIDTH_FACTORS]
+    trajectories = [_trajectory_for_width(free, width) for width in widths]
     motor_position = np.mean([one.motor_position for one in trajectories], axis=0)
     link_friction_correction = np.mean([one.link_friction_correction for one in trajectories], axis=0)
     return _PlayTrajectory(
@@ -233,8 +234,7 @@ class _FreeMotion:
     Attributes
     ----------
     next_driven_up, next_driven_down
-        The first sample from each on where the transmitted torque is above, or below, 0; N if there is none, and at
-        the end, so that there are N + 1.
+        The first sample from each sample on where the transmitted torque is above, or below, 0; see `_next_true`.
     dt
         Time between samples [s].
     sample_count
@@ -267,8 +267,8 @@ class _FreeMotion:
         damping_divisor = 1 + link_viscosity / inertia * motion.dt  # of an implicit step, which is stable
         self.dt = motion.dt
         self.sample_count = len(velocity)
-        self.next_driven_up = _next_in(transmitted > 0)
-        self.next_driven_down = _next_in(transmitted < 0)
+        self.next_driven_up = _next_true(transmitted > 0)
+        self.next_driven_down = _next_true(transmitted < 0)
         self._transmitted = transmitted.tolist()
         self._inertia = inertia.tolist()
         self._damping_divisor = damping_divisor.tolist()
@@ -300,8 +300,8 @@ class _FreeMotion:
             self._extend(path, separation)
         while not path.is_complete and path.farthest_travels[-1] < width:
             self._extend(path, separation)
-        contact = bisect_left(path.farthest_travels, width)
-        return path.displacements[: contact + 1], path.link_friction_corrections[: contact + 1]
+        contact_index = bisect_left(path.farthest_travels, width)
+        return path.displacements[: contact_index + 1], path.link_friction_corrections[: contact_index + 1]
 
     def _extend(self, path: _FreePath, separation: int) -> None:
         """Extend a path to about twice its length, at most to where the teeth meet on the side that they left."""
@@ -315,20 +315,20 @@ class _FreeMotion:
         direction = 1 if transmitted[separation] > 0 else -1  # in which the motor is driven away
         displacement = displacements[-1] if displacements else 0.0
         farthest_travel = farthest_travels[-1] if farthest_travels else 0.0
-        velocity = path.velocity
+        velocity = path.relative_velocity
         first = separation + len(displacements)
-        last = min(first + max(len(displacements), _MIN_EXTENSION), self.sample_count)
-        for k in range(first, last):
+        end = min(first + max(len(displacements), _MIN_EXTENSION), self.sample_count)
+        for k in range(first, end):
             previous_velocity = velocity
             damped_velocity = (velocity + velocity_increment[k]) / damping_divisor[k]
-            # Dry friction slows the link down, at most to rest.
-            friction_increment = motor_velocity[k] - damped_velocity
+            # Dry friction slows the link down, at most to rest, where the relative velocity is that of the motor.
+            increment = motor_velocity[k] - damped_velocity
             max_increment = max_dry_friction_increment[k]
-            if friction_increment > max_increment:
-                friction_increment = max_increment
-            elif friction_increment < -max_increment:
-                friction_increment = -max_increment
-            velocity = damped_velocity + friction_increment
+            if increment > max_increment:
+                increment = max_increment
+            elif increment < -max_increment:
+                increment = -max_increment
+            velocity = damped_velocity + increment
             # No torque is transmitted: what does not accelerate the link is friction.
             net_torque = inertia[k] * (velocity - previous_velocity) / dt
             corrections.append(net_torque - transmitted[k])
@@ -341,15 +341,16 @@ class _FreeMotion:
             if travel <= 0:
                 path.is_complete = True
                 return
-        path.velocity = velocity
-        path.is_complete = last == self.sample_count
+        path.relative_velocity = velocity
+        path.is_complete = end == self.sample_count
 
 
-def _next_in(mask: Mask) -> list[int]:
-    """The first sample of a mask from each sample on, shape (N,), and from the end; N if there is none."""
+def _next_true(mask: Mask) -> list[int]:
+    """The first sample from each sample on where a mask is true, N if there is none; N + 1 numbers, the last is N."""
     count = len(mask)
-    samples = np.where(mask, np.arange(count), count)
-    return [*np.minimum.accumulate(samples[::-1])[::-1].tolist(), count]
+    true_samples = np.where(mask, np.arange(count), count)
+    least_from_the_end = np.minimum.accumulate(true_samples[::-1])
+    return [*least_from_the_end[::-1].tolist(), count]
 
 
 @dataclass
@@ -363,17 +364,17 @@ class _FreePath:
     link_friction_corrections
         Friction of the link at its own velocity less that at the motor's, at each sample [N·m or N].
     farthest_travels
-        Farthest travel into the play so far, at each sample, ascending [rad or m].
-    velocity
-        Relative velocity at the last sample [rad/s or m/s].
+        Farthest travel into the play so far, at each sample, never decreasing [rad or m].
+    relative_velocity
+        Velocity of the motor relative to the link at the last sample, from which the path is extended [rad/s or m/s].
     is_complete
-        True if the teeth meet again on the side that they left at the last sample, or the data end there.
+        True if, at the last sample, the teeth meet again on the side that they left, or the data end.
     """
 
     displacements: list[float] = field(default_factory=list)
     link_friction_corrections: list[float] = field(default_factory=list)
     farthest_travels: list[float] = field(default_factory=list)
-    velocity: float = 0.0
+    relative_velocity: float = 0.0
     is_complete: bool = False
 
 
@@ -391,33 +392,42 @@ def _free_motion(motion: Motion, joint: int, motor_friction: float, linearized: 
     return kept[key]
 
 
-def _trajectory(free: _FreeMotion, width: float) -> _PlayTrajectory:
-    """Trajectory within a play of a given width [rad or m], along the motion of ``free``."""
-    sides: list[int] = []  # of the play, on which the teeth are in contact before each separation
-    lengths: list[int] = []  # of contacts and separations by turns, beginning with a contact
-    displacements: list[float] = []  # during all separations
+def _trajectory_for_width(free: _FreeMotion, width: float) -> _PlayTrajectory:
+    """Trajectory within a play of a given width [rad or m], along the motion of ``free``.
+
+    Contacts and separations of the teeth alternate, from a contact on, which may last no sample.
+    """
+    phase_lengths: list[int] = []  # samples of each contact and each separation
+    contact_sides: list[int] = []  # of the play, at which the motor is in each contact
+    displacements: list[float] = []  # in all separations
     corrections: list[float] = []
     side = -1 if free.next_driven_down[0] == 0 else 1
-    k = 0
+    contact_start = 0
     while True:
         # The teeth stay in contact until they are driven apart.
-        separation = free.next_driven_down[k] if side > 0 else free.next_driven_up[k]
-        sides.append(side)
-        lengths.append(separation - k)
+        next_driven_apart = free.next_driven_down if side > 0 else free.next_driven_up
+        separation = next_driven_apart[contact_start]
+        contact_sides.append(side)
+        phase_lengths.append(separation - contact_start)
         if separation == free.sample_count:
             break
-        own_displacements, own_corrections = free.until_contact(separation, width)
-        lengths.append(len(own_displacements))
-        displacements += own_displacements
-        corrections += own_corrections
-        k = separation + len(own_displacements)
-        side = 1 if side * width / 2 + displacements[-1] > 0 else -1
-    is_separated = np.repeat(np.arange(len(lengths)) % 2 == 1, lengths)
-    side_before = np.repeat(np.repeat(sides, 2)[: len(lengths)], lengths)
-    positions = side_before * width / 2
+        new_displacements, new_corrections = free.until_contact(separation, width)
+        phase_lengths.append(len(new_displacements))
+        displacements += new_displacements
+        corrections += new_corrections
+        contact_start = separation + len(new_displacements)
+        last_position = side * width / 2 + new_displacements[-1]
+        side = 1 if last_position > 0 else -1
+    is_separation = np.arange(len(phase_lengths)) % 2 == 1
+    phase_sides = np.repeat(contact_sides, 2)[: len(phase_lengths)]  # of a separation, that of the contact before
+    is_separated = np.repeat(is_separation, phase_lengths)
+    positions = np.repeat(phase_sides, phase_lengths) * width / 2
     positions[is_separated] += displacements
     link_friction_corrections = np.zeros(free.sample_count)
     link_friction_corrections[is_separated] = corrections
     return _PlayTrajectory(
-        np.clip(positions, -width / 2, width / 2), link_friction_corrections, is_separated.astype(float), free.dt
+        motor_position=np.clip(positions, -width / 2, width / 2),
+        link_friction_correction=link_friction_corrections,
+        separated_share=is_separated.astype(float),
+        dt=free.dt,
     )
